@@ -22,6 +22,28 @@ use serde_json::{Value, json};
 const SIZE: [f64; 2] = [1280.0, 720.0];
 const SIDES: [Side; 2] = [Side::Left, Side::Right];
 
+/// Of a mean hand, whose palm is cupped.
+#[test]
+fn import_and_encode_make_the_same_poses() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = |name: &str| path(&folder.path().join(name)).to_owned();
+    let mut cupped = clip(&[Side::Right]);
+    cupped.header.hands[0].morphology = None;
+    for (i, frame) in cupped.frames.iter_mut().enumerate() {
+        let bend = 0.1 - 0.1 * (0.3 * i as f64).cos();
+        frame.pose.set(JointAngle::Ring0Flexion, 0.6 * bend);
+        frame.pose.set(JointAngle::Pinky0Flexion, bend);
+    }
+    write_poses(folder.path().join("poses.jsonl").as_path(), &cupped).unwrap();
+    for name in ["x.bvh", "x.webxr.json", "x.landmarks.jsonl", "x.pose", "x.csv", "x.json", "x.bap", "x.glb"]
+    {
+        done(&["import", &file("poses.jsonl"), "-o", &file(name)]);
+        done(&["import", &file(name), "-o", &file("a.jsonl")]);
+        done(&["encode", &file(name), "-o", &file("b.fba"), "--quant", "1"]);
+        done(&["compare", &file("a.jsonl"), &file("b.fba"), "--tolerance", "0.3"]);
+    }
+}
+
 /// A hand before the camera, its fingers bent in turn.
 fn hand(side: Side, i: usize) -> HandPose {
     let s = |k: f64| 0.5 - 0.5 * (0.15 * i as f64 + k).cos();

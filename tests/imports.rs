@@ -13,7 +13,7 @@ use common::python::with_package;
 use common::shared;
 use handcast_formats::poses::read_poses;
 use handcast_hand::landmarks::LANDMARKS_21;
-use handcast_hand::{JointAngle, PoseClip, Side, Skeleton};
+use handcast_hand::{HandPose, JointAngle, Morphology, PoseClip, Side, Skeleton};
 use nalgebra::Point3;
 use serde_json::{Value, json};
 
@@ -77,6 +77,44 @@ fn rotations_of_mano_are_where_forward_kinematics_of_numpy_puts_them() {
     refused(&["import", &file("objects.npz"), "-o", path(&out)], &out, &["objects.npz", "neither rotations"]);
     // Other commands read it as well.
     done(&["encode", &file("parts.npz"), "-o", &file("hand.fba")]);
+}
+
+/// An array of NumPy's own format, of doubles.
+fn npy(shape: &str, data: &[f64]) -> Vec<u8> {
+    let mut header = format!("{{'descr': '<f8', 'fortran_order': False, 'shape': {shape}, }}");
+    while !(11 + header.len()).is_multiple_of(64) {
+        header.push(' ');
+    }
+    header.push('\n');
+    let length = (header.len() as u16).to_le_bytes();
+    let numbers: Vec<u8> = data.iter().flat_map(|v| v.to_le_bytes()).collect();
+    [b"\x93NUMPY\x01\0", &length[..], header.as_bytes(), &numbers].concat()
+}
+
+#[test]
+fn lone_arrays_are_joints_at_the_rate_that_is_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let [array, out] = ["hand.npy", "poses.jsonl"].map(|name| folder.path().join(name));
+    let hand = |i: usize, side: Side| {
+        let mut pose = HandPose::neutral(side);
+        pose.set(JointAngle::Index1Flexion, 0.05 * i as f64);
+        let frames = Skeleton::new(&Morphology::default(), side).frames(&pose);
+        LANDMARKS_21.map(|joint| frames.position(joint)).into_iter().flat_map(|p| [p.x, -p.y, -p.z])
+    };
+    let rows: Vec<f64> =
+        (0..10).flat_map(|i| hand(i, Side::Right).chain(hand(i, Side::Left)).collect::<Vec<_>>()).collect();
+    std::fs::write(&array, npy("(10, 2, 21, 3)", &rows)).unwrap();
+    let said = handcast(&["import", path(&array), "-o", path(&out)]);
+    assert!(text(&said.stderr).contains("30 frames a second are taken for granted; --input-fps"), "{said:?}");
+    done(&["import", path(&array), "-o", path(&out), "--input-fps", "60"]);
+    let clip = read_poses(&out).unwrap();
+    assert_eq!((clip.header.rate, clip.header.hands.len(), clip.frames.len()), (Some(60.0), 2, 20));
+    let last = clip.of(Side::Right).last().unwrap();
+    assert!((last.time - 9.0 / 60.0).abs() < 1e-6, "{}", last.time);
+    assert!((last.pose.angle(JointAngle::Index1Flexion) - 0.45).abs() < 0.02);
+    std::fs::write(&array, npy("(10, 126)", &rows)).unwrap();
+    let none = folder.path().join("none.jsonl");
+    refused(&["import", path(&array), "-o", path(&none)], &none, &["10 × 126", "21 × 3", "42 × 3"]);
 }
 
 /// A frame as LeapJS has it of 21 joints in metres, the thumb first.

@@ -61,7 +61,14 @@ impl Live {
     }
 
     fn interrupt(&self) {
-        let killed = Command::new("kill").args(["-INT", &self.child.id().to_string()]).status().unwrap();
+        self.signal(&["INT"]);
+    }
+
+    /// Sends signals right behind one another.
+    fn signal(&self, names: &[&str]) {
+        let id = self.child.id();
+        let script: Vec<String> = names.iter().map(|name| format!("kill -{name} {id}")).collect();
+        let killed = Command::new("sh").args(["-c", &script.join(" && ")]).status().unwrap();
         assert!(killed.success());
     }
 
@@ -237,6 +244,121 @@ fn ctrl_c_ends_a_pipe_with_its_recording_finished() {
     assert!(std::fs::metadata(&file).unwrap().len() > 50);
     assert_eq!(std::fs::read_dir(&folder).unwrap().count(), 1);
     feeding.unwrap().join().unwrap();
+}
+
+#[cfg(unix)]
+#[test]
+fn a_terminal_that_closes_leaves_a_whole_recording() {
+    let folder = tempfile::tempdir().unwrap();
+    for (k, signals) in [["HUP", "HUP"], ["HUP", "TERM"], ["HUP", "CONT"]].iter().enumerate() {
+        let file = folder.path().join(format!("{k}.fba"));
+        let live = Live::start(&[DEMO, "--loop", "--record", path(&file)], Stdio::null());
+        let mut viewer = live.join();
+        await_plane(&mut viewer);
+        live.signal(signals);
+        live.end();
+        assert!(std::fs::read(&file).unwrap().ends_with(END), "{signals:?}");
+        assert_eq!(std::fs::read_dir(&folder).unwrap().count(), k + 1, "{signals:?}");
+    }
+}
+
+/// The code that ends a stream.
+const END: &[u8] = &[0, 0, 1, 0xb1];
+
+#[cfg(unix)]
+#[test]
+fn a_recording_on_a_full_disk_is_cut_with_its_end() {
+    let folder = tempfile::tempdir().unwrap();
+    for (name, left) in [("hand.fba", "hand.fba"), ("hand.mp4", "hand.partial.fba")] {
+        let file = folder.path().join(name);
+        // Files get half a kilobyte, and who asks for more an error.
+        let script = "trap '' XFSZ; ulimit -f 1; exec \"$0\" live --bind 127.0.0.1:0 --no-net --loop \"$1\" --record \"$2\"";
+        let mut child = Command::new("sh")
+            .args(["-c", script, path(&common::command::program()), DEMO, path(&file)])
+            .stdout(Stdio::null())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let mut said = String::new();
+        let mut lines = BufReader::new(child.stderr.take().unwrap());
+        while !said.contains("the recording is cut here, the room goes on") {
+            assert!(lines.read_line(&mut said).unwrap() > 0, "{said}");
+        }
+        let live = Live { child, address: String::new() };
+        live.interrupt();
+        lines.read_to_string(&mut said).unwrap();
+        let mut live = live;
+        assert_eq!(live.child.wait().unwrap().code(), Some(1), "{said}");
+        assert!(said.contains("handcast: the recording is cut: "), "{said}");
+        let stream = std::fs::read(folder.path().join(left)).unwrap();
+        assert!(stream.len() <= 512 && stream.len() > 300 && stream.ends_with(END), "{} bytes", stream.len());
+        let found = done(&["decode", path(&folder.path().join(left)), "-o", "-", "--to", "jsonl"]);
+        assert!(found.lines().count() > 5, "{found}");
+    }
+    assert_eq!(std::fs::read_dir(&folder).unwrap().count(), 2);
+}
+
+#[cfg(unix)]
+#[test]
+fn recordings_go_into_pipes() {
+    let decoded = |stream: &[u8]| {
+        assert!(stream.ends_with(END));
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("hand.fba");
+        std::fs::write(&file, stream).unwrap();
+        assert!(done(&["decode", path(&file), "-o", "-", "--to", "jsonl"]).lines().count() > 5);
+    };
+    for name in ["/dev/stdout", "-"] {
+        let live = ["live", "--bind", "127.0.0.1:0", "--no-net", DEMO, "--seconds", "5", "--record", name];
+        let out = common::command::handcast(&live);
+        let said = common::command::text(&out.stderr);
+        assert!(out.status.success() && said.contains("http://127.0.0.1:"), "{said}");
+        decoded(&out.stdout);
+    }
+    misused(&["live", DEMO, "--record", "-", "--json"], Path::new("no-file"), &["--json", "standard output"]);
+    let folder = tempfile::tempdir().unwrap();
+    let fifo = folder.path().join("hand");
+    assert!(Command::new("mkfifo").arg(&fifo).status().unwrap().success());
+    let from = fifo.clone();
+    let reader = std::thread::spawn(move || std::fs::read(from).unwrap());
+    let live = Live::start(&[DEMO, "--seconds", "5", "--record", path(&fifo)], Stdio::null());
+    live.end();
+    decoded(&reader.join().unwrap());
+    assert_eq!(std::fs::read_dir(&folder).unwrap().count(), 1);
+}
+
+/// An ffmpeg that notes what it is asked for and gives the pictures of a file.
+#[cfg(unix)]
+#[test]
+fn streams_of_the_network_come_through_ffmpeg() {
+    use std::os::unix::fs::PermissionsExt as _;
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let mut source = handcast_media::open(DEMO, &handcast_media::OpenOptions::default()).unwrap();
+    let pictures = std::iter::from_fn(|| source.next_frame().unwrap()).map(|frame| frame.image).take(20);
+    let pictures: Vec<_> = pictures.collect();
+    std::fs::write(at("clip.y4m"), common::y4m::y4m(&pictures)).unwrap();
+    let script = format!("#!/bin/sh\necho \"$@\" > {0}/asked\ncat {0}/clip.y4m\n", folder.path().display());
+    std::fs::write(at("ffmpeg"), script).unwrap();
+    std::fs::set_permissions(at("ffmpeg"), std::fs::Permissions::from_mode(0o755)).unwrap();
+    let live = |address: &str| {
+        let path_of = std::env::var("PATH").unwrap();
+        Command::new(common::command::program())
+            .args(["live", "--bind", "127.0.0.1:0", "--no-net", address])
+            .env("PATH", format!("{}:{path_of}", folder.path().display()))
+            .output()
+            .unwrap()
+    };
+    for address in ["rtsp://camera:554/1", "http://camera/clip.mjpg"] {
+        let out = live(address);
+        assert!(out.status.success(), "{}", common::command::text(&out.stderr));
+        let asked = std::fs::read_to_string(at("asked")).unwrap();
+        assert!(asked.contains(&format!("-i {address} ")) && !asked.contains("file,"), "{asked}");
+    }
+    let said = common::command::text(&live("ftp://camera/clip.mp4").stderr);
+    assert!(said.contains("nothing is read from ftp://; allowed are") && said.contains("rtsp://"), "{said}");
+    let output = folder.path().join("none");
+    misused(&["live", "rtsp://camera/1", "--loop"], &output, &["--loop", "a stream is gone"]);
 }
 
 #[cfg(unix)]

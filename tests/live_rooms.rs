@@ -180,6 +180,56 @@ fn the_page_tells_that_a_sender_was_killed_and_shows_the_next_one() {
     next.die();
 }
 
+/// Of a card on which a whole picture takes so many milliseconds, on a screen of 60 pictures a second.
+#[test]
+#[ignore = "needs node"]
+fn pictures_are_as_sharp_as_there_is_time() {
+    let script = r#"
+        const { Sharpness } = await import(process.argv[1]);
+        const sharpness = new Sharpness();
+        const shares = [[100, 10], [200, 100], [3000, 100], [3000, 10]].map(([pictures, cost]) => {
+            for (let i = 0; i < pictures; i += 1) {
+                sharpness.next(16.7, false);
+                sharpness.next(16.7 * Math.max(1, Math.ceil((cost * sharpness.share ** 2) / 16.7)), true);
+            }
+            return sharpness.share;
+        });
+        console.log(JSON.stringify(shares));
+    "#;
+    let module = concat!("file://", env!("CARGO_MANIFEST_DIR"), "/crates/live/src/page/sharpness.js");
+    let out = Command::new("node").args(["--input-type=module", "-e", script, module]).output().unwrap();
+    assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
+    let shares: Vec<f64> = serde_json::from_slice(&out.stdout).unwrap();
+    assert!(shares[0] == 1.0 && shares[1] < 0.45 && shares[2] < 0.45 && shares[3] == 1.0, "{shares:?}");
+}
+
+#[test]
+#[ignore = "needs Chromium and node"]
+fn the_page_tells_that_one_has_gone_while_others_stay() {
+    let _alone = BROWSER.lock().unwrap_or_else(PoisonError::into_inner);
+    let server = server();
+    let stays = Waver::start(server.address(), Side::Right, 1.0, 0.18);
+    let mut seen = RoomClient::connect(server.address(), "hand", "").unwrap();
+    while !matches!(seen.next(Duration::from_secs(1)).unwrap(), Some(Message::Hello { .. })) {}
+    let goes = Waver::start(server.address(), Side::Left, -1.0, 0.18);
+    let mut pages = Pages::open(&json!({
+        "url": format!("http://{}/hand", server.address()), "seconds": 0, "patience": 60_000,
+        "pages": [{ "width": 420, "height": 420 }],
+        "steps": [
+            "state.senders.length === 2 && state.message === null",
+            "state.hands.length === 1 && state.facts.includes('Sender 2 is gone: its connection broke')",
+            "state.hands.length === 1 && !state.facts.includes('gone')",
+        ],
+    }));
+    pages.step(0);
+    goes.die();
+    pages.step(1);
+    pages.step(2);
+    let told = pages.end();
+    assert_eq!(told[0]["state"]["message"], Value::Null, "{}", told[0]["state"]);
+    stays.die();
+}
+
 /// The command at a port that was free.
 struct Live(Child);
 

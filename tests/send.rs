@@ -93,6 +93,22 @@ fn hands_are_sent_at_their_own_pace_and_lost_ones_not() {
 }
 
 #[test]
+fn several_receivers_get_the_same() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = poses(folder.path(), 20);
+    let second = UdpSocket::bind("127.0.0.1:0").unwrap();
+    second.set_nonblocking(true).unwrap();
+    let address = second.local_addr().unwrap().to_string();
+    let (packets, said) = received(&[path(&file), "--vmc", &address, "--speed", "4"]);
+    let mut bytes = [0; 2048];
+    let others = std::iter::from_fn(|| second.recv(&mut bytes).ok().map(|length| bytes[..length].to_vec()));
+    let others: Vec<Vec<u8>> = others.collect();
+    assert!(packets.len() > 20 && packets == others, "{} and {}", packets.len(), others.len());
+    assert_eq!(said.lines().count(), 2, "{said}");
+    assert!(said.starts_with(&format!("{address}: 28 poses in 31 packets")), "{said}");
+}
+
+#[test]
 fn what_cannot_be_sent_is_said() {
     let folder = tempfile::tempdir().unwrap();
     let refused = |args: &[&str], code: i32, words: &[&str]| {

@@ -7,8 +7,10 @@ use handcast_eval::synth::{ScriptedMotion, Synth, SynthOptions};
 use handcast_hand::landmarks::LANDMARKS_21;
 use handcast_hand::random::Random;
 use handcast_hand::{Side, TimedPose};
-use handcast_media::Frame;
-use handcast_track::pipeline::{ClipError, ClipOptions, FinderSource, Tracker};
+use handcast_media::{ClipInfo, Frame, FrameError, FrameSource};
+use handcast_track::pipeline::{
+    ClipError, ClipOptions, ClipSink, FinderSource, TrackedFrame, Tracker, track_frames,
+};
 use handcast_track::{HandModel, View};
 use handcast_vision::sighting::{ReadySightings, Region, Sighting};
 use image::RgbImage;
@@ -52,6 +54,55 @@ fn before_tiles(synth: &Synth, frame: usize) -> RgbImage {
         }
     }
     picture
+}
+
+/// The frames of a clip.
+struct Rendered(std::vec::IntoIter<Frame>, ClipInfo);
+
+impl FrameSource for Rendered {
+    fn info(&self) -> &ClipInfo {
+        &self.1
+    }
+
+    fn set_max_side(&mut self, _: u32) {}
+
+    fn next_frame(&mut self) -> Result<Option<Frame>, FrameError> {
+        Ok(self.0.next())
+    }
+}
+
+struct Silent;
+
+impl ClipSink for Silent {
+    fn tracked(&mut self, _: TrackedFrame<'_>) -> Result<(), String> {
+        Ok(())
+    }
+}
+
+#[test]
+fn hands_beside_two_are_counted() {
+    let synth = synth(Side::Right, View::Palm, ScriptedMotion::Fist);
+    for beside in [0, 1, 2] {
+        let mut random = Random::new(7, 1);
+        let frames: Vec<_> = (0..FRAMES)
+            .map(|index| Frame { index, time: synth.time(index), image: synth.render(index).image })
+            .collect();
+        let sightings = (0..FRAMES).map(|i| {
+            let hand = sighting(&synth, i, &mut random);
+            let others = (0..=beside).map(|k| {
+                let points = hand.points.map(|[x, y]| [x + 400.0 * (k + 1) as f64, y]);
+                Sighting { points, region: Region::of_joints(&points), ..hand.clone() }
+            });
+            (synth.time(i), std::iter::once(hand.clone()).chain(others).collect::<Vec<_>>())
+        });
+        let finder = ReadySightings::new(sightings, 1e-3);
+        let mut options = ClipOptions::default();
+        options.finder = Some(FinderSource::new(move || Box::new(finder.clone())));
+        let info = ClipInfo { width: 320, height: 240, rate: Some(30.0), ..ClipInfo::default() };
+        let source = Rendered(frames.into_iter(), info);
+        let end = track_frames(source, None, &options, &mut Silent).unwrap();
+        assert_eq!(end.further, beside);
+    }
 }
 
 fn tracked(

@@ -101,12 +101,15 @@ export async function instantiate(source, name) {
   }
   if (typeof Response !== "undefined" && given instanceof Response) {
     if (!given.ok) throw new HandcastError(`${given.url}: ${given.status} ${given.statusText}`);
-    given = await given.arrayBuffer();
+    // Compiled while it comes, where the server says what it is.
+    const streams = WebAssembly.compileStreaming && given.headers.get("Content-Type") === "application/wasm";
+    if (!streams) given = await given.arrayBuffer();
   }
   const wanted = `wanted is handcast_${name}.wasm`;
   if (!(given instanceof WebAssembly.Module)) {
-    const bytes = bytesOf(given, `${wanted}; its bytes`);
-    given = await WebAssembly.compile(bytes).catch(error => {
+    const streams = typeof Response !== "undefined" && given instanceof Response;
+    const compiled = streams ? WebAssembly.compileStreaming(given) : WebAssembly.compile(bytesOf(given, `${wanted}; its bytes`));
+    given = await compiled.catch(error => {
       throw new HandcastError(`${wanted}, and this is no module: ${error.message}`);
     });
   }

@@ -6,6 +6,7 @@ use std::process::exit;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::ThreadId;
+use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use handcast_formats::unfinished::remove_all;
@@ -20,21 +21,33 @@ pub fn end(code: i32) -> ! {
     match remove_all(|| exit(code)) {}
 }
 
-/// What is told of the first signal in place of an end at once.
-static TOLD: Mutex<Option<Arc<AtomicBool>>> = Mutex::new(None);
+/// What is told of the first signal in place of an end at once, and when that came.
+static TOLD: Mutex<Option<(Arc<AtomicBool>, Option<Instant>)>> = Mutex::new(None);
 
-/// Becomes true at the first signal; at a second one the program ends at once.
+/// Signals that come within this of the first are one with it: a terminal that closes sends several, as do the system and
+/// a shell that both end.
+const ONE: Duration = Duration::from_secs(1);
+
+/// Becomes true at the first signal; at one that comes a second later the program ends at once.
 pub fn told_to_stop() -> Arc<AtomicBool> {
     let stop = Arc::new(AtomicBool::new(false));
-    *TOLD.lock().unwrap_or_else(PoisonError::into_inner) = Some(Arc::clone(&stop));
+    *TOLD.lock().unwrap_or_else(PoisonError::into_inner) = Some((Arc::clone(&stop), None));
     stop
+}
+
+/// Tells of a signal; false where the program is to end at once.
+fn tell_to_stop() -> bool {
+    let mut told = TOLD.lock().unwrap_or_else(PoisonError::into_inner);
+    told.as_mut().is_some_and(|(stop, first)| {
+        stop.store(true, Ordering::Relaxed);
+        first.get_or_insert_with(Instant::now).elapsed() < ONE
+    })
 }
 
 /// Takes away what is unfinished where the program is interrupted, terminated or loses its terminal.
 pub fn on_signals() -> anyhow::Result<()> {
     ctrlc::set_handler(|| {
-        let told = TOLD.lock().unwrap_or_else(PoisonError::into_inner).clone();
-        if told.is_some_and(|told| !told.swap(true, Ordering::Relaxed)) {
+        if tell_to_stop() {
             return;
         }
         tell_of_journal();

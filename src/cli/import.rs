@@ -25,7 +25,7 @@ use super::usage::within;
 /// Turns joint positions (21 landmarks, 25 or 26 XR joints) into poses of the hand model.
 #[derive(Debug, ClapArgs)]
 pub struct Args {
-    /// Landmark JSON lines, .pose, .npz, .bvh of another program, or JSON of MediaPipe, MANO, HaMeR, WiLoR, Leap Motion,
+    /// Landmark JSON lines, .pose, .npz, .npy, .bvh of another program, or JSON of MediaPipe, MANO, HaMeR, WiLoR, Leap Motion,
     /// IWER, OpenXR or WebXR; told by their content; - for standard input. Poses (.jsonl, .json, .csv, .bap, streams with the
     /// standard's steps, .glb and .gltf, and .bvh, .vrma, .webxr.json of this program) are written as they are.
     input: PathBuf,
@@ -53,6 +53,9 @@ pub struct Args {
     /// Degrees the camera sees across the picture's longer side, 5 to 150.
     #[arg(long, value_name = "DEG", default_value_t = 60.0, value_parser = field_of_view)]
     fov: f64,
+    /// Frames per second of a file that tells none, 0.1 to 1000; 30 are taken otherwise.
+    #[arg(long, value_name = "HZ", value_parser = rate)]
+    input_fps: Option<f64>,
     /// Keep the couplings of the tracker's model: end joints follow middle joints, the palm is cupped as fingers
     /// bend. For joints of hands that handcast tracked.
     #[arg(long)]
@@ -106,6 +109,17 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         Input::Poses(poses) => return written(args, poses, format),
         Input::Joints(hands) => chosen(hands, args)?,
     };
+    let assumed = hands.iter().any(|hand| hand.rate_assumed);
+    if !assumed {
+        given::note_idle(format_args!("{} tells its times", args.input.display()), &["input_fps"]);
+    }
+    let hands: Vec<LandmarkClip> = match args.input_fps {
+        Some(rate) => hands.into_iter().map(|hand| hand.at_rate(rate)).collect(),
+        None => hands,
+    };
+    if let Some(notice) = hands.iter().find_map(LandmarkClip::rate_notice) {
+        errln!("handcast: {}: {notice}; --input-fps tells another rate", args.input.display());
+    }
     let notes: std::collections::BTreeSet<&String> = hands.iter().flat_map(|hand| &hand.notes).collect();
     for note in notes {
         errln!("handcast: {}: {note}", args.input.display());
@@ -127,7 +141,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         max_gap: args.max_gap,
         smooth: args.smooth,
     };
-    let imported = import_all(&hands, &[], &options).map_err(|error| match error {
+    let imported = import_all(&hands, &options).map_err(|error| match error {
         LandmarkError::NoPictureSize => anyhow::Error::new(error).context("--image-size WxH tells it"),
         error => error.into(),
     });
@@ -231,7 +245,7 @@ fn told<'a>(
     }
     given::note_idle(
         format_args!("{} has poses, which are written as they are", path.display()),
-        &["fov", "max_gap"],
+        &["fov", "max_gap", "input_fps"],
     );
     if !args.quiet {
         motion.notes.iter().for_each(|note| errln!("handcast: {}: {note}", path.display()));
@@ -293,6 +307,10 @@ fn tell(report: &ImportReport, args: &Args) {
 /// Seconds.
 fn gap(text: &str) -> Result<f64, String> {
     within(text, 0.0..=86_400.0, "s")
+}
+
+fn rate(text: &str) -> Result<f64, String> {
+    within(text, 0.1..=1000.0, "frames per second")
 }
 
 fn axes() -> impl TypedValueParser<Value = Axes> {

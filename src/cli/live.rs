@@ -19,7 +19,7 @@ use handcast_live::page;
 use handcast_live::sender::{LivePoseEncoderOptions, PoseSender};
 use handcast_live::server::{Server, ServerOptions, Tls, check_room, random_token};
 use handcast_live::transport::Publish as _;
-use handcast_media::{CameraOptions, ClipInfo, OpenOptions, cameras};
+use handcast_media::{Address, CameraOptions, ClipInfo, OpenOptions, cameras};
 
 use super::common::ProfileArg;
 use super::ending::told_to_stop;
@@ -28,7 +28,7 @@ use super::tracking::TrackArgs;
 use super::usage::positive;
 use avatar::AvatarArgs;
 use capture::{Capture, Slot, Source};
-use record::Recording;
+use record::{Place, Recording, is_standard_output};
 use status::Status;
 use work::{Finished, Worker};
 
@@ -37,7 +37,8 @@ use work::{Finished, Worker};
 /// The page at that address shows the hands; it needs nothing else. Spread the five fingers once to begin.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// Camera (a device, name or number; the first without one), a clip at its own pace, or - for Y4M on standard input
+    /// Camera (a device, name or number; the first without one), a clip at its own pace, also at an address, rtsp://… and
+    /// other streams, or - for Y4M on standard input
     source: Option<PathBuf>,
     /// Name the cameras
     #[arg(long)]
@@ -60,7 +61,8 @@ pub struct Args {
     /// Let nobody else send
     #[arg(long)]
     alone: bool,
-    /// Record the stream (.fba or .mp4); what was recorded when the program is killed is in NAME.partial.fba
+    /// Record the stream (.fba or .mp4; into a pipe or - as it is); what was recorded when the program is killed is in
+    /// NAME.partial.fba
     #[arg(long, value_name = "FILE")]
     record: Option<PathBuf>,
     /// Width and height asked of the camera, pixels, 16 to 8192 a side
@@ -155,12 +157,21 @@ impl Args {
         Ok(options.with_tls(tls.map_err(anyhow::Error::msg).with_context(files)?))
     }
 
+    fn records_to_standard_output(&self) -> bool {
+        self.record.as_deref().is_some_and(is_standard_output)
+    }
+
     fn source(&self) -> anyhow::Result<Source> {
         let open = OpenOptions::default().with_rate(self.fps);
         let camera = CameraOptions::default().with_size(self.size).with_rate(self.fps);
         let piped = self.source.as_deref() == Some(Path::new("-"));
-        if self.again && piped {
-            refuse!("--loop plays a clip over and over; what comes by - is gone when it has been seen");
+        let gone = match self.source.as_deref().map(Address::of).transpose()?.flatten() {
+            Some(Address::Stream) => "a stream",
+            _ if piped => "what comes by -",
+            _ => "",
+        };
+        if self.again && !gone.is_empty() {
+            refuse!("--loop plays a clip over and over; {gone} is gone when it has been seen");
         }
         if piped && !self.track.quiet {
             errln!("waiting for pictures on standard input");
@@ -185,7 +196,10 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         refuse!("{option} is of one clip: live pictures have none");
     }
     let avatar = args.avatar.connect()?;
-    args.record.as_deref().map_or(Ok(()), Recording::check)?;
+    if args.track.json && args.records_to_standard_output() {
+        refuse!("--json prints on standard output, where the recording goes: give one of them another place");
+    }
+    let place = args.record.as_deref().map(|path| Place::of(path, args.track.quiet)).transpose()?;
     let options = args.server()?;
     let (token, secure) = (options.token.clone(), args.tls.is_some());
     let source = args.source()?;
@@ -202,7 +216,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let server = Server::start(options).with_context(|| format!("cannot serve at {}", args.bind))?;
     let stop = told_to_stop();
     // From here on it ends well, whenever it is told to.
-    let recording = args.record.as_deref().map(Recording::create).transpose()?;
+    let recording = place.map(Recording::create).transpose()?;
     address::print(&server, args, &token, secure);
 
     let slot = Arc::new(Slot::default());

@@ -7,12 +7,11 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, ensure};
 use handcast_hand::{PoseClip, Side, TimedPose};
-use handcast_vmc::VmcSender;
 
 use super::common::Hand;
 use super::ending::told_to_stop;
-use super::listening::Listening;
 use super::motion::MotionArgs;
+use super::receivers::Receivers;
 use super::usage::within;
 
 /// Poses of two hands closer in time than this, seconds, are of one instant.
@@ -23,9 +22,9 @@ const SAME: f64 = 1e-4;
 /// VTuber programs, Unity, Unreal, Blender and Godot take it by the VMC protocol, OSC over UDP: to the own machine or a local network.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// Receiver of VMC packets; the port is 39539 where none is given
-    #[arg(long, value_name = "HOST:PORT")]
-    vmc: String,
+    /// Receiver of VMC packets; the port is 39539 where none is given. Several times: several receivers
+    #[arg(long, value_name = "HOST:PORT", required = true)]
+    vmc: Vec<String>,
     /// How fast, times the recording's own pace, 0.01 to 100
     #[arg(long, value_name = "FACTOR", default_value_t = 1.0, value_parser = speed)]
     speed: f64,
@@ -51,7 +50,7 @@ fn speed(text: &str) -> Result<f64, String> {
 
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<()> {
-    let mut sender = VmcSender::connect(&args.vmc).context("--vmc")?.with_wrist(!args.fingers);
+    let mut receivers = Receivers::connect(&args.vmc, !args.fingers).context("--vmc")?;
     let name = || args.motion.input.display().to_string();
     let motion = args.motion.read()?;
     for note in &motion.notes {
@@ -59,7 +58,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     }
     for side in [Side::Left, Side::Right] {
         let sizes = motion.clip.header.hand(side).and_then(|hand| hand.morphology.as_ref());
-        sender.set_sizes(side, sizes.unwrap_or(&motion.morphology));
+        receivers.set_sizes(side, sizes.unwrap_or(&motion.morphology));
     }
     let valid = motion.clip.frames.iter().any(|pose| pose.valid);
     let moments = moments(motion.clip, args.only.map(Side::from));
@@ -67,34 +66,32 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let other = if valid { " of this hand; it has the other one alone" } else { "" };
     ensure!(sent, "{}: there is no pose to send{other}", name());
     if !args.quiet {
-        errln!("sending to {}, Ctrl-C ends it", sender.address());
+        let addresses: Vec<_> = receivers.sent().map(|(address, _)| address.to_string()).collect();
+        errln!("sending to {}, Ctrl-C ends it", addresses.join(", "));
     }
-    // The receiver is told at the end, however it comes, that no hand is tracked any more.
-    let mut listening = Listening::default();
+    // Receivers are told at the end, however it comes, that no hand is tracked any more.
     let clock = Clock { start: Instant::now(), stop: told_to_stop() };
     let mut now = 0.0;
     loop {
-        now = play((&mut sender, &mut listening), &moments, &clock, now, args.speed)?;
+        now = play(&mut receivers, &moments, &clock, now, args.speed)?;
         if !args.again || clock.is_stopped() {
             break;
         }
     }
-    let ended = sender.end(now);
-    let sent = sender.sent();
-    if sent.packets == 0 {
+    let ended = receivers.end(now);
+    if receivers.sent().all(|(_, sent)| sent.packets == 0) {
         ended?;
     }
-    if !args.quiet {
+    for (address, sent) in receivers.sent().filter(|_| !args.quiet) {
+        let to = if args.vmc.len() > 1 { format!("{address}: ") } else { String::new() };
         outln!(
-            "{} poses in {} packets, {:.0} kbit/s for {now:.1} s",
+            "{to}{} poses in {} packets, {:.0} kbit/s for {now:.1} s",
             sent.poses,
             sent.packets,
             sent.bytes as f64 * 8e-3 / now.max(1e-3)
         );
     }
-    if sent.unheard > 0 {
-        errln!("handcast: nothing listened at {} for {} packets", sender.address(), sent.unheard);
-    }
+    receivers.tell_unheard();
     Ok(())
 }
 
@@ -143,7 +140,7 @@ impl Clock {
 /// Sends a recording once, from `begin` seconds on; gives when the next one may begin, an interval after the last pose, or when it
 /// was ended.
 fn play(
-    (sender, listening): (&mut VmcSender, &mut Listening),
+    receivers: &mut Receivers,
     moments: &[Vec<TimedPose>],
     clock: &Clock,
     begin: f64,
@@ -153,25 +150,13 @@ fn play(
     let (Some(first), Some(last)) = (moments.first().map(time), moments.last().map(time)) else {
         return Ok(begin);
     };
-    let mut cut_off = false;
     for moment in moments {
         let at = begin + (time(moment) - first) / speed;
         let due = Duration::try_from_secs_f64(at).context("the instant of a pose")?;
         if !clock.sleep_until(due) {
             return Ok(clock.start.elapsed().as_secs_f64());
         }
-        // A network may be away for a while.
-        match sender.send(at, moment) {
-            Ok(()) => {
-                cut_off = false;
-                listening.look(clock.start.elapsed().as_secs_f64(), sender.sent(), sender.address());
-            }
-            Err(_) if cut_off => {}
-            Err(error) => {
-                errln!("handcast: {error}; what comes now is lost");
-                cut_off = true;
-            }
-        }
+        receivers.send(at, clock.start.elapsed().as_secs_f64(), moment);
     }
     let intervals = moments.len().saturating_sub(1).max(1) as f64;
     let interval = if last > first { (last - first) / intervals } else { 1.0 };

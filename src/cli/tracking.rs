@@ -266,6 +266,14 @@ impl TrackArgs {
         if let Some(shortfall) = &end.shortfall {
             errln!("handcast: {}: {shortfall}", path.display());
         }
+        if end.further > 0 {
+            let s = if end.further > 1 { "s" } else { "" };
+            errln!(
+                "handcast: {}: at least {} further hand{s} are seen beside the two that are tracked at most, and passed over",
+                path.display(),
+                end.further
+            );
+        }
         let (frames, tallies) =
             (std::mem::take(&mut sink.kept).unwrap_or_default(), std::mem::take(&mut sink.tallies));
         let overlay = sink.finish()?;

@@ -10,7 +10,7 @@ use handcast_hand::landmarks::{
     hand_length, measure, placed_on_lines, tell_side,
 };
 use handcast_hand::smooth::{Jitter, SmoothOptions, smooth_recording};
-use handcast_hand::{HandPose, Joint, Morphology, PoseClip, PoseHeader, Side, TimedPose};
+use handcast_hand::{Finger, HandPose, Joint, Morphology, PoseClip, PoseHeader, Side, TimedPose};
 
 /// Hand length given to a recording without a unit, metres: the population mean.
 pub const MEAN_HAND_LENGTH: f64 = 0.189;
@@ -30,7 +30,8 @@ const TRIED: usize = 12;
 pub struct ImportOptions {
     /// Left or right; by default what the source says, or else what fits better.
     pub side: Option<Side>,
-    /// The hand's sizes; by default measured from the recording.
+    /// The hand's sizes; by default those of a mean hand where the points are one's to the last digit, or else measured from
+    /// the recording.
     pub morphology: Option<Morphology>,
     /// The hand's length in metres, which sets the scale; by default the source's unit does, or else
     /// [`MEAN_HAND_LENGTH`].
@@ -63,6 +64,17 @@ impl Default for ImportOptions {
             max_gap: 0.25,
             smooth: None,
         }
+    }
+}
+
+impl ImportOptions {
+    /// Those of a recording: the mean hand is known where it is seen to be one.
+    fn of_hand(&self, clip: &LandmarkClip) -> Self {
+        let mean = || {
+            let mean = mean_hand(clip)?;
+            Some(self.hand_length.map_or(mean, Morphology::average))
+        };
+        Self { morphology: self.morphology.clone().or_else(mean), ..self.clone() }
     }
 }
 
@@ -161,25 +173,24 @@ pub fn import(
     clip: &LandmarkClip,
     options: &ImportOptions,
 ) -> Result<(PoseClip, ImportReport), LandmarkError> {
+    let options = &options.of_hand(clip);
     let source = Source::of(clip, options)?;
     let told = told(clip, &source, options)?;
     source.solved(clip, told, options)
 }
 
-/// Finds the poses of all hands of a file, the first with the first of `morphologies` and so on where the options have
-/// no sizes. Two hands come out as one left and one right hand, unless the options tell the side, which is that of all.
+/// Finds the poses of all hands of a file. Two hands come out as one left and one right hand, unless the options tell the
+/// side, which is that of all.
 ///
 /// # Errors
 /// Those of [`import`].
 pub fn import_all(
     hands: &[LandmarkClip],
-    morphologies: &[Option<Morphology>],
     options: &ImportOptions,
 ) -> Result<(PoseClip, Vec<ImportReport>), LandmarkError> {
     let mut prepared = Vec::new();
-    for (i, hand) in hands.iter().enumerate() {
-        let known = options.morphology.clone().or_else(|| morphologies.get(i).cloned().flatten());
-        let options = ImportOptions { morphology: known, ..options.clone() };
+    for hand in hands {
+        let options = options.of_hand(hand);
         let source = Source::of(hand, &options)?;
         let told = told(hand, &source, &options)?;
         prepared.push((hand, options, source, told));
@@ -233,6 +244,33 @@ fn told(clip: &LandmarkClip, source: &Source, options: &ImportOptions) -> Result
         },
         None => trial.map(|t| Told { side: t.side(), trial: Some(t), exchanged: false })?,
     })
+}
+
+/// How far a bone may be from that of a mean hand, metres: the last digits that are written.
+const EXACT: f64 = 1e-6;
+
+/// The sizes of the mean hand, where the points are those of one to the last digit, as in files written of a hand
+/// whose sizes were not known. Measuring would say how long its bones are, but not how its palm lies among them.
+fn mean_hand(clip: &LandmarkClip) -> Option<Morphology> {
+    let metres = clip.metres?;
+    let whole = |frame: &&LandmarkFrame| LANDMARKS_21.into_iter().all(|j| frame.points[j.index()].is_some());
+    let points = clip.to_ends(clip.frames.iter().find(whole)?.points);
+    let bone = |finger: Finger, k: usize| {
+        let a = Joint::base(finger).index() + k;
+        Some(metres * (points[a + 1]? - points[a]?).norm())
+    };
+    let length: Option<f64> = (0..3).map(|k| bone(Finger::Middle, k)).sum();
+    let mean = Morphology::default();
+    let mean = Morphology::average(mean.hand_length * length? / mean.finger(Finger::Middle).length());
+    let fits = |(finger, k): (Finger, usize)| {
+        bone(finger, k).is_some_and(|found| (found - mean.finger(finger).bones[k]).abs() < EXACT)
+    };
+    Finger::ALL
+        .into_iter()
+        .flat_map(|finger| [0, 1, 2].map(|k| (finger, k)))
+        .all(fits)
+        .then_some(mean)
+        .filter(|mean| mean.validate().is_ok())
 }
 
 /// The joints of a recording, in metres and our axes.
@@ -485,8 +523,8 @@ fn scale(clip: &LandmarkClip, options: &ImportOptions, frames: &[JointPoints]) -
 #[cfg(test)]
 mod tests {
     use super::*;
+    use handcast_hand::Skeleton;
     use handcast_hand::random::Random;
-    use handcast_hand::{Finger, Skeleton};
     use nalgebra::Vector3;
 
     /// A closing hand, 40 frames at 20 a second, in units of a tenth of a millimetre.

@@ -31,8 +31,8 @@ use super::import::{ImportOptions, import_all};
 use super::lines::unmarked;
 use super::motion::format::{NotKnown, is_json};
 use super::motion::{Content, ContentError, Format, Motion, bvh};
-use handcast_hand::landmarks::{JointPoints, LANDMARKS_21, from_landmarks_21, move_tips_to_ends};
-use handcast_hand::{Finger, Joint, JointAngle, MAX_TIME, Morphology, Side};
+use handcast_hand::landmarks::{JointPoints, from_landmarks_21, move_tips_to_ends};
+use handcast_hand::{JointAngle, MAX_TIME, Side};
 use handcast_limits::{Limit, Limits};
 
 /// Most bytes in a text that is read as a whole: all but landmark lines and WebXR-shaped frames, which are as long as motions
@@ -94,6 +94,8 @@ pub type ImagePoints = [Option<Point2<f64>>; 25];
 pub struct LandmarkClip {
     /// Frames per second, where the source says so.
     pub rate: Option<f64>,
+    /// Whether that is not the source's word, but taken for granted.
+    pub rate_assumed: bool,
     /// Left or right, where the source says so.
     pub side: Option<Side>,
     /// Metres in one unit of the points; `None` when the source does not say.
@@ -122,6 +124,22 @@ pub struct LandmarkClip {
 }
 
 impl LandmarkClip {
+    /// The same at another rate, frames a second, where its own is taken for granted.
+    #[must_use]
+    pub fn at_rate(mut self, rate: f64) -> Self {
+        if let Some(assumed) = self.rate.filter(|_| self.rate_assumed) {
+            (self.rate, self.rate_assumed) = (Some(rate), false);
+            self.frames.iter_mut().for_each(|frame| frame.time *= assumed / rate);
+        }
+        self
+    }
+
+    /// That its rate is taken for granted, where there is more than one frame.
+    pub fn rate_notice(&self) -> Option<String> {
+        let rate = self.rate.filter(|_| self.rate_assumed && self.frames.len() > 1)?;
+        Some(format!("it tells no times: {rate} frames a second are taken for granted"))
+    }
+
     /// Points of a frame with the tips at the ends of the fingers.
     pub(crate) fn to_ends(&self, mut points: JointPoints) -> JointPoints {
         if self.tips_inside {
@@ -378,9 +396,10 @@ struct Document {
     binary: bool,
 }
 
-static DOCUMENTS: [Document; 8] = [
+static DOCUMENTS: [Document; 9] = [
     Document { format: &pose_format::FORMAT, parse: pose_format::parse, binary: true },
     Document { format: &mano::NPZ, parse: mano::parse_npz, binary: true },
+    Document { format: &mano::NPY, parse: mano::parse_npy, binary: true },
     Document { format: &bvh::FORMAT, parse: bvh::parse_foreign, binary: true },
     Document { format: &mano::FORMAT, parse: mano::parse, binary: false },
     Document { format: &leap::FORMAT, parse: leap::parse, binary: false },
@@ -414,36 +433,14 @@ fn check_size(text: &[u8]) -> Result<(), String> {
     Err(format!("larger than the {MAX_DOCUMENT_BYTES} bytes allowed"))
 }
 
-/// How far a bone may be from that of a mean hand, metres: the last digits that are written.
-const EXACT: f64 = 1e-6;
-
-/// The sizes of the mean hand, where the points are those of one to the last digit, as in files written of a hand
-/// whose sizes were not known. Measuring would say how long its bones are, but not how its palm lies among them.
-fn mean_hand(clip: &LandmarkClip) -> Option<Morphology> {
-    let metres = clip.metres?;
-    let whole = |frame: &&LandmarkFrame| LANDMARKS_21.into_iter().all(|j| frame.points[j.index()].is_some());
-    let points = clip.to_ends(clip.frames.iter().find(whole)?.points);
-    let bone = |finger: Finger, k: usize| {
-        let a = Joint::base(finger).index() + k;
-        Some(metres * (points[a + 1]? - points[a]?).norm())
-    };
-    let length: Option<f64> = (0..3).map(|k| bone(Finger::Middle, k)).sum();
-    let mean = Morphology::default();
-    let mean = Morphology::average(mean.hand_length * length? / mean.finger(Finger::Middle).length());
-    let fits = |(finger, k): (Finger, usize)| {
-        bone(finger, k).is_some_and(|found| (found - mean.finger(finger).bones[k]).abs() < EXACT)
-    };
-    Finger::ALL.into_iter().flat_map(|finger| [0, 1, 2].map(|k| (finger, k))).all(fits).then_some(mean)
-}
-
 /// The poses of all hands, and what solving for them found.
 pub(crate) fn solved(format: &'static Format, hands: &[LandmarkClip]) -> Result<Motion, ContentError> {
-    let morphologies = hands.iter().map(mean_hand).collect::<Vec<_>>();
-    let (clip, reports) = import_all(hands, &morphologies, &ImportOptions::default())?;
+    let (clip, reports) = import_all(hands, &ImportOptions::default())?;
     // 21 points show neither twists nor how the palm bends.
     let shown =
         |angle: &JointAngle| !angle.name().ends_with("twisting") && !angle.name().contains("0_flexion");
-    let mut notes: BTreeSet<String> = hands.iter().flat_map(|hand| &hand.notes).cloned().collect();
+    let mut notes: BTreeSet<String> = hands.iter().flat_map(|hand| hand.notes.clone()).collect();
+    notes.extend(hands.iter().filter_map(LandmarkClip::rate_notice));
     notes.extend(reports.iter().flat_map(|report| [report.notice(), report.trembling()]).flatten());
     Ok(Motion {
         notes: notes.into_iter().collect(),

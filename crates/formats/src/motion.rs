@@ -19,6 +19,7 @@ mod csv;
 pub(crate) mod format;
 mod glb;
 mod json;
+mod notes;
 mod stream;
 mod vrma;
 
@@ -50,10 +51,11 @@ use handcast_limits::{Excess, Limit, Limits};
 
 pub use bvh::{BvhError, read_bvh, write_bvh};
 pub use csv::{TableError, read_csv, write_csv};
+pub(crate) use format::Writer;
 pub use format::{FORMATS, Format};
-pub(crate) use format::{Lost, Writer};
 pub use glb::{Rig, clip_from_glb, write_glb};
 pub use json::{read_json, write_json};
+pub(crate) use notes::{Keeps, Lost, Times};
 
 /// The BAP frames of a stream or BAP text.
 #[derive(Clone, Debug, PartialEq)]
@@ -307,7 +309,7 @@ impl Content {
 impl Motion {
     /// Whether it has a pose where a hand is lost, too, held or interpolated, since its format cannot say that it is.
     pub fn bridges_lost(&self) -> bool {
-        self.baps.is_some() || self.format.write.is_some_and(|writer| writer.lost == Lost::Bridged)
+        self.baps.is_some() || self.format.write.is_some_and(|writer| writer.keeps.lost == Lost::Bridged)
     }
 
     /// Reads a file of any format.
@@ -422,6 +424,8 @@ const MAX_EVEN_RATE: f64 = 255.0;
 
 /// How far keys may be from the beat of the others, in intervals, and a rate from a whole number that is meant.
 const OFF_BEAT: f64 = 0.1;
+/// Share of the intervals that must be on the beat for there to be one.
+const MOST_ON_BEAT: f64 = 0.9;
 const NEARLY_WHOLE: f64 = 1e-3;
 
 /// Frames per second of poses at keys, of which some may have been left out: those of their beat, where they have one.
@@ -431,12 +435,12 @@ pub fn even_rate(clip: &PoseClip) -> f64 {
     times.sort_by(f64::total_cmp);
     times.dedup_by(|b, a| (*b - *a) * rough < OFF_BEAT);
     let intervals = times.windows(2).map(|pair| (pair[1] - pair[0]) * rough);
-    let beats =
-        intervals.map(|interval| ((interval - interval.round()).abs() < OFF_BEAT).then(|| interval.round()));
-    let beat = match (beats.sum::<Option<f64>>(), times.first().zip(times.last())) {
-        (Some(count), Some((first, last))) if count > 0.0 => count / (last - first),
-        _ => rough.round(),
-    };
+    let on_beat: Vec<f64> =
+        intervals.filter(|interval| (interval - interval.round()).abs() < OFF_BEAT).collect();
+    // A time that is late by itself takes two intervals off the beat.
+    let many = on_beat.len() as f64 >= MOST_ON_BEAT * times.len().saturating_sub(1) as f64;
+    let (count, length) = (on_beat.iter().map(|v| v.round()).sum::<f64>(), on_beat.iter().sum::<f64>());
+    let beat = if many && count > 0.0 { count / length * rough } else { rough.round() };
     let whole = (beat - beat.round()).abs() < NEARLY_WHOLE;
     (if whole { beat.round() } else { beat }).clamp(1.0, MAX_EVEN_RATE)
 }
@@ -797,6 +801,13 @@ pub(crate) mod tests {
                 }
             }
         }
+        // One late time of fifty.
+        let mut late = clip(&[Side::Right]);
+        let pose = late.frames[3].pose.clone();
+        let time = |i: u32| (f64::from(i) + if i == 20 { 0.4 } else { 0.0 }) * 1001.0 / 30_000.0;
+        late.frames = (0..50).map(|i| TimedPose::new(time(i), pose.clone())).collect();
+        late.header.rate = None;
+        assert!((even_rate(&late) / (30_000.0 / 1001.0) - 1.0).abs() < 1e-9, "{}", even_rate(&late));
         // No beat at all.
         let mut uneven = clip(&[Side::Right]);
         uneven.header.rate = None;
@@ -887,7 +898,7 @@ pub(crate) mod tests {
             let written = format.write(&clip, &options).unwrap();
             let back = Motion::parse("x.doc".as_ref(), &written.bytes).unwrap().clip.frames;
             let lost = back.iter().filter(|frame| !frame.valid).count();
-            match format.write.unwrap().lost {
+            match format.write.unwrap().keeps.lost {
                 Lost::Told => assert!(lost >= 10, "{}: {lost}", format.id),
                 Lost::LeftOut => assert_eq!((lost, back.len()), (0, seen), "{}", format.id),
                 Lost::Bridged => assert_eq!(lost, 0, "{}", format.id),
@@ -902,7 +913,7 @@ pub(crate) mod tests {
             let notes = format.write(&two, &options).unwrap().notes;
             let said =
                 notes.iter().any(|note| note.starts_with("the left hand is there from 0.52 to 1.56 s"));
-            assert_eq!(said, format.write.unwrap().lost == Lost::Bridged, "{}: {notes:?}", format.id);
+            assert_eq!(said, format.write.unwrap().keeps.lost == Lost::Bridged, "{}: {notes:?}", format.id);
         }
     }
 

@@ -26,7 +26,7 @@ use super::atomic::AtomicFile;
 use super::batches::write_each;
 use super::decimal::push_number;
 use super::lines::LineReader;
-use super::motion::{Format, Lost, Motion, WriteOptions, Writer};
+use super::motion::{Format, Keeps, Lost, Motion, WriteOptions, Writer};
 use handcast_hand::clip::MAX_HANDS;
 use handcast_hand::{
     Absence, ClipHand, Degrees, FrameCheck, HandPose, JointAngle, PoseClip, PoseClipError, PoseData,
@@ -44,7 +44,7 @@ pub(crate) static FORMAT: Format = Format {
     sniff: is_lines,
     read: |bytes, limits| Ok(Motion::of(&FORMAT, PoseReader::new(bytes)?.into_clip_within(limits)?).into()),
     write: Some(Writer {
-        lost: Lost::Told,
+        keeps: Keeps::all(Lost::Told),
         write: |clip, _: &WriteOptions, out| {
             write_all(PoseWriter::new(out, clip.header.clone())?, clip)?;
             Ok(Vec::new())

@@ -8,7 +8,7 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use super::y4m::Y4mSource;
-use super::{ClipInfo, Frame, FrameError, FrameSource, OpenOptions, YuvMatrix};
+use super::{Address, ClipInfo, Frame, FrameError, FrameSource, OpenOptions, YuvMatrix};
 
 /// How much of the program's messages is kept.
 const MAX_MESSAGE: usize = 16 * 1024;
@@ -25,24 +25,40 @@ pub(super) fn open(
     open_input(&["-i".as_ref(), input.as_os_str()], name, codec, FIELDS, options)
 }
 
-/// What the helper program may ask for what is at an address: never a file of this machine, which a playlist could name.
-const PROTOCOLS: &str = "http,https,httpproxy,tcp,tls,crypto,data";
+/// What the helper program may ask for what is at an address of the web, and of a stream: never a file of this machine, which
+/// a playlist could name.
+const WEB_PROTOCOLS: &str = "http,https,httpproxy,tcp,tls,crypto,data";
+const STREAM_PROTOCOLS: &str = "rtsp,rtp,srtp,rtmp,rtmps,srt,udp,http,https,httpproxy,tcp,tls,crypto,data";
 
-/// Opens what is at an address of the web with the helper program.
-pub(super) fn open_url(url: &str, options: &OpenOptions) -> Result<Box<dyn FrameSource>, FrameError> {
+/// Opens what is at an address with the helper program.
+pub(super) fn open_url(
+    url: &str,
+    address: Address,
+    options: &OpenOptions,
+) -> Result<Box<dyn FrameSource>, FrameError> {
+    let (what, codec, protocols, advice) = match address {
+        Address::Web => ("an address of the web", "web", WEB_PROTOCOLS, "download it first"),
+        Address::Stream => {
+            ("a stream of the network", "stream", STREAM_PROTOCOLS, "give its pictures as Y4M, by -")
+        }
+    };
     let unsupported = |hint: &str| FrameError::UnsupportedCodec {
         path: url.to_owned(),
-        codec: "an address of the web".to_owned(),
+        codec: what.to_owned(),
         hint: hint.to_owned(),
     };
-    open_input(&["-protocol_whitelist", PROTOCOLS, "-i", url], url, "web", "", options).map_err(|error| {
-        match error {
-            FrameError::UnsupportedCodec { .. } if options.ffmpeg.is_some() => {
-                unsupported("; install ffmpeg, or download it first")
-            }
-            FrameError::UnsupportedCodec { .. } => unsupported("; download it first"),
-            error => error,
+    let mut args = vec!["-protocol_whitelist", protocols];
+    if address == Address::Stream {
+        // Pictures come when they come, not when there are many of them.
+        args.extend(["-fflags", "nobuffer"]);
+    }
+    args.extend(["-i", url]);
+    open_input(&args, url, codec, "", options).map_err(|error| match error {
+        FrameError::UnsupportedCodec { .. } if options.ffmpeg.is_some() => {
+            unsupported(&format!("; install ffmpeg, or {advice}"))
         }
+        FrameError::UnsupportedCodec { .. } => unsupported(&format!("; {advice}")),
+        error => error,
     })
 }
 

@@ -15,6 +15,7 @@ mod iso;
 mod mjpeg;
 #[cfg(feature = "h264")]
 mod mp4;
+mod network;
 mod prefetch;
 #[cfg(feature = "h264")]
 mod rate;
@@ -32,6 +33,7 @@ use image::RgbImage;
 use thiserror::Error;
 
 pub use camera::{Camera, CameraOptions, cameras, open_camera};
+pub use network::Address;
 pub use prefetch::Prefetch;
 pub use yuv::YuvMatrix;
 
@@ -285,8 +287,8 @@ pub enum FrameError {
     },
 }
 
-/// Opens a clip, a picture, a folder, a pattern (`shots/*.png`), what is at an address (`https://…`) through the helper
-/// program, or, for `-`, Y4M on standard input.
+/// Opens a clip, a picture, a folder, a pattern (`shots/*.png`), what is at an address (`https://…`, `rtsp://…`: see
+/// [`Address`]) through the helper program, or, for `-`, Y4M on standard input.
 ///
 /// # Errors
 /// One [`FrameError`] variant for each thing that can be wrong; the first frame of compressed video is
@@ -331,21 +333,14 @@ impl FrameSource for Ending {
     }
 }
 
-/// Whether an input is an address of the web.
-fn is_url(name: &str) -> bool {
-    let begins =
-        |scheme: &str| name.get(..scheme.len()).is_some_and(|start| start.eq_ignore_ascii_case(scheme));
-    begins("http://") || begins("https://")
-}
-
 fn open_by_content(path: &Path, options: &OpenOptions) -> Result<Box<dyn FrameSource>, FrameError> {
     if path == Path::new("-") {
         let source = y4m::Y4mSource::open(Box::new(io::stdin()), "standard input", options, None)?;
         return Ok(Box::new(source));
     }
     let name = path.display().to_string();
-    if is_url(&name) {
-        return ffmpeg::open_url(&name, options);
+    if let Some(address) = Address::of(path)? {
+        return ffmpeg::open_url(&name, address, options);
     }
     let metadata = match std::fs::metadata(path) {
         Ok(metadata) => metadata,

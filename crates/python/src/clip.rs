@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use handcast::formats::motion::BapTrack;
-use handcast::hand::{ClipHand, FrameCheck};
+use handcast::hand::{ClipHand, FrameCheck, PoseClipError};
 use handcast::{HandPose, Joint, JointAngle, Morphology, PoseClip, PoseHeader, Side, Skeleton, TimedPose};
 use nalgebra::{Isometry3, Matrix3, Rotation3, UnitQuaternion, Vector3};
 use numpy::ndarray::{Array1, Array2, Array3, Ix1, Ix2, Ix3};
@@ -39,7 +39,7 @@ fn placed(m: [[f64; 4]; 4], frame: usize) -> PyResult<(Vector3<f64>, UnitQuatern
 /// One hand over time: T poses of the right or left hand.
 ///
 /// angles: T×29 radians, in the order of ANGLES; wrist: T×4×4, metres; times: T seconds, without them `rate` a second;
-/// confidence: T numbers 0 to 1, or NaN; valid: T booleans. Lists and arrays of other numbers are taken as well. Sizes are
+/// confidence: T numbers 0 to 1, or NaN; valid: T booleans. times and rate exclude each other; without both there are 30 a second. Lists and arrays of other numbers are taken as well. Sizes are
 /// those of `like`, a Hand or Pose, else mean ones.
 ///
 /// Each attribute is a new array. Hands can be pickled, and are equal where their poses and sizes are. Raises Error that names
@@ -104,29 +104,54 @@ fn check_angles(angles: &[f64; JointAngle::COUNT], frame: usize) -> PyResult<()>
     }
 }
 
-/// What has sizes.
+/// A hand or a pose: what has sizes.
 #[derive(FromPyObject)]
-enum Like<'py> {
+pub enum Given<'py> {
+    /// Poses over time.
     Hand(PyRef<'py, Hand>),
+    /// One.
     Pose(PyRef<'py, Pose>),
+}
+
+impl Given<'_> {
+    /// Which hand, and its sizes.
+    pub fn person(&self) -> (Side, Option<Morphology>) {
+        match self {
+            Self::Hand(hand) => (hand.side, hand.sizes.clone()),
+            Self::Pose(pose) => (pose.timed.pose.side, pose.sizes.clone()),
+        }
+    }
+
+    /// Its poses.
+    pub fn poses(&self) -> &[TimedPose] {
+        match self {
+            Self::Hand(hand) => &hand.poses,
+            Self::Pose(pose) => std::slice::from_ref(&pose.timed),
+        }
+    }
 }
 
 #[pymethods]
 impl Hand {
     #[new]
-    #[pyo3(signature = (side, angles, *, wrist=None, times=None, rate=30.0, confidence=None, valid=None, like=None))]
+    #[pyo3(signature = (side, angles, *, wrist=None, times=None, rate=None, confidence=None, valid=None, like=None))]
     #[expect(clippy::too_many_arguments, reason = "keywords")]
     fn new(
         side: &str,
         angles: &Bound<'_, PyAny>,
         wrist: Option<&Bound<'_, PyAny>>,
         times: Option<&Bound<'_, PyAny>>,
-        rate: f64,
+        rate: Option<f64>,
         confidence: Option<&Bound<'_, PyAny>>,
         valid: Option<&Bound<'_, PyAny>>,
-        like: Option<Like<'_>>,
+        like: Option<Given<'_>>,
     ) -> PyResult<Self> {
-        let (side, rate) = (side_of(side)?, checked_rate(rate)?);
+        let side = side_of("side", side)?;
+        if let (Some(_), Some(rate)) = (times, rate) {
+            return Err(Error::new_err(format!("rate is {rate} beside times, allowed is one of the two")));
+        }
+        let spaced = if times.is_some() { "times" } else { "rate" };
+        let rate = checked_rate("rate", rate.unwrap_or(30.0))?;
         let angles = array::<f64, Ix2>("angles", "radians", &[None, Some(JointAngle::COUNT)], angles)?;
         let angles = angles.as_array();
         let count = angles.nrows();
@@ -136,10 +161,7 @@ impl Hand {
         let times = as_many::<f64>("times", "seconds", times, count)?;
         let confidence = as_many::<f64>("confidence", "numbers 0 to 1", confidence, count)?;
         let valid = as_many::<bool>("valid", "booleans", valid, count)?;
-        let sizes = like.and_then(|like| match like {
-            Like::Hand(hand) => hand.sizes.clone(),
-            Like::Pose(pose) => pose.sizes.clone(),
-        });
+        let sizes = like.and_then(|like| like.person().1);
         let header = PoseHeader::one(side, sizes, None);
         let (mut poses, mut check) = (Vec::with_capacity(count), FrameCheck::default());
         for i in 0..count {
@@ -155,7 +177,16 @@ impl Hand {
             timed.confidence = confidence.as_ref().map(|values| values[i]).filter(|value| !value.is_nan());
             timed.valid = valid.as_ref().is_none_or(|values| values[i]);
             let checked = check.check(&header, &timed);
-            checked.map_err(|error| Error::new_err(format!("frame {i}: {error}")))?;
+            checked.map_err(|error| {
+                let what = match &error {
+                    PoseClipError::Time { .. } | PoseClipError::Order { .. } => spaced,
+                    PoseClipError::Share { what, .. } => what,
+                    PoseClipError::NotFinite => "wrist",
+                    PoseClipError::Range { what } if what.starts_with("wrist") => "wrist",
+                    _ => "angles",
+                };
+                Error::new_err(format!("{what}: frame {i}: {error}"))
+            })?;
             poses.push(timed);
         }
         let sizes = header.hands.into_iter().next().and_then(|hand| hand.morphology);
@@ -365,7 +396,7 @@ impl Clip {
     #[new]
     #[pyo3(signature = (hands, rate=None, *, skin_tone=None))]
     fn new(hands: Vec<PyRef<'_, Hand>>, rate: Option<f64>, skin_tone: Option<f64>) -> PyResult<Self> {
-        let rate = rate.map(checked_rate).transpose()?;
+        let rate = rate.map(|rate| checked_rate("rate", rate)).transpose()?;
         let skin_tone = skin_tone.map(|tone| whole("skin_tone", tone, [1, 10])).transpose()?;
         let entries =
             hands.iter().map(|hand| ClipHand { side: hand.side, morphology: hand.sizes.clone() }).collect();
@@ -374,7 +405,12 @@ impl Clip {
         frames.sort_by(|a, b| a.time.total_cmp(&b.time));
         let header = PoseHeader { rate, hands: entries, skin_tone, ..PoseHeader::default() };
         let poses = PoseClip { header, frames };
-        poses.check().map_err(|error| wrong(&error))?;
+        poses.check().map_err(|error| match error {
+            PoseClipError::Hands { .. } | PoseClipError::Twice { .. } => {
+                Error::new_err(format!("hands: {error}"))
+            }
+            error => wrong(&error),
+        })?;
         Ok(poses.into())
     }
 

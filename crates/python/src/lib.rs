@@ -4,6 +4,7 @@ mod arrays;
 mod clip;
 mod corpus;
 mod keep;
+mod live;
 mod notices;
 mod options;
 mod stream;
@@ -83,6 +84,8 @@ mod _handcast {
     use super::corpus::{Corpus, Worker, check_run, given_up, net_digest, read_person};
     #[pymodule_export]
     use super::keep::{kept_clip, kept_hand, kept_pose};
+    #[pymodule_export]
+    use super::live::{LiveDecoder, LiveEncoder};
     #[pymodule_export]
     use super::stream::{decode, encode, load, to_format, to_glb, to_pose_format};
     #[pymodule_export]

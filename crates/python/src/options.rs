@@ -25,8 +25,8 @@ fn one_of<T>(what: &str, word: &str, [a, b]: [(&str, T); 2]) -> PyResult<T> {
 }
 
 /// `"left"` or `"right"`.
-pub fn side(word: &str) -> PyResult<Side> {
-    one_of("hand", word, [("left", Side::Left), ("right", Side::Right)])
+pub fn side(what: &str, word: &str) -> PyResult<Side> {
+    one_of(what, word, [("left", Side::Left), ("right", Side::Right)])
 }
 
 /// A number within a range.
@@ -55,8 +55,8 @@ fn positive(what: &str, value: f64) -> PyResult<f64> {
 }
 
 /// A rate in frames per second.
-pub fn rate(value: f64) -> PyResult<f64> {
-    within("fps", value, [0.01, handcast::hand::clip::MAX_RATE])
+pub fn rate(what: &str, value: f64) -> PyResult<f64> {
+    within(what, value, [0.01, handcast::hand::clip::MAX_RATE])
 }
 
 /// Wrist to middle fingertip, metres.
@@ -207,7 +207,7 @@ impl TrackWords {
 
     fn read(&self) -> PyResult<ClipOptions> {
         let mut options = ClipOptions::default();
-        options.side = self.hand.as_deref().map(side).transpose()?;
+        options.side = self.hand.as_deref().map(|word| side("hand", word)).transpose()?;
         let view = |word| one_of("view", word, [("palm", View::Palm), ("back", View::Back)]);
         options.view = self.view.as_deref().map(view).transpose()?;
         options.mirror = self.mirror;

@@ -86,7 +86,7 @@ pub fn track(
     words: &Bound<'_, PyDict>,
 ) -> PyResult<Clip> {
     let options = TrackWords::of(words)?.options(py)?;
-    let rate = fps.map(checked_rate).transpose()?;
+    let rate = fps.map(|fps| checked_rate("fps", fps)).transpose()?;
     if let Ok(path) = source.extract::<PathBuf>() {
         let (clip, told) = py.detach(|| of_file(&path, rate, &options))?;
         notices::warn(py, &told)?;
@@ -139,8 +139,12 @@ impl Tracker {
     #[pyo3(signature = (fps, words))]
     fn new(py: Python<'_>, fps: f64, words: &Bound<'_, PyDict>) -> PyResult<Self> {
         let options = TrackWords::of(words)?.options(py)?;
-        let state =
-            State { tracker: handcast::Tracker::new(options), rate: checked_rate(fps)?, next: 0, even: true };
+        let state = State {
+            tracker: handcast::Tracker::new(options),
+            rate: checked_rate("fps", fps)?,
+            next: 0,
+            even: true,
+        };
         Ok(Self { state: Mutex::new(state) })
     }
 

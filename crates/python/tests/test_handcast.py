@@ -6,6 +6,7 @@ import multiprocessing
 import os
 import pickle
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -161,7 +162,9 @@ class Tracked(InFolder):
             warnings.simplefilter("ignore", DeprecationWarning)
             with multiprocessing.get_context("fork").Pool(2) as pool:
                 made = pool.map_async(handcast.encode, [self.clip] * 4).get(timeout=120)
+                hands = pool.map_async(track_hand, [DEMO] * 2).get(timeout=120)
         self.assertEqual(made, [stream] * 4)
+        self.assertEqual(hands, [self.clip.right] * 2)
 
     def test_streams_are_coded_anew_from_their_baps(self):
         vectors = ROOT / "fixtures" / "conformance"
@@ -294,6 +297,90 @@ class Pushed(unittest.TestCase):
         np.testing.assert_array_equal(turned.right.angles, clip.right.angles)
 
 
+class Live(unittest.TestCase):
+    """Both ends of a socket."""
+
+    def test_poses_go_through_a_socket(self):
+        clip = handcast.load(ROOT / "fixtures" / "demo.poses.jsonl")
+        hand = clip.right
+        one = lambda k: handcast.Hand("right", hand.angles[k : k + 1], wrist=hand.wrist[k : k + 1], times=hand.times[k : k + 1], like=hand)
+        here, there = socket.socketpair()
+        self.addCleanup(there.close)
+
+        def send():
+            encoder = handcast.LiveEncoder(rate=clip.rate)
+            with here:
+                for k in range(len(hand)):
+                    here.sendall(encoder.push([one(k)], skin_tone=4))
+                    self.assertEqual(encoder.hands, ["right"])
+                here.sendall(encoder.finish())
+
+        sender = threading.Thread(target=send)
+        sender.start()
+        decoder, poses = handcast.LiveDecoder(), []
+        while data := there.recv(37):
+            poses += decoder.push(data)
+        poses += decoder.finish()
+        sender.join()
+        self.assertEqual(len(poses), len(hand))
+        self.assertEqual((decoder.rate, decoder.skin_tone), (clip.rate, 4))
+        np.testing.assert_allclose([pose.time for pose in poses], hand.times - hand.times[0], atol=1e-3)
+        off = np.degrees(np.abs([pose.angles for pose in poses] - hand.angles))
+        self.assertLess(np.sqrt((off**2).mean()), 0.6)
+        self.assertAlmostEqual(poses[-1].sizes["hand_length"], hand.sizes["hand_length"], places=3)
+
+    def test_planes_are_decoded_when_they_come(self):
+        encoder, decoder = handcast.LiveEncoder(bitrate=4.0, intra=1.0), handcast.LiveDecoder()
+        angles, seen = np.zeros((90, 29)), 0
+        angles[:, 6] = 0.5 - 0.5 * np.cos(np.arange(90) / 9)
+        for k in range(90):
+            plane = encoder.push([handcast.Hand("left", angles[k : k + 1], times=[k / 30])], k / 30)
+            poses = decoder.push(plane, whole=True)
+            if poses:
+                seen += 1
+                self.assertLess(abs(poses[-1].angles[6] - angles[k, 6]), 0.1)
+        self.assertGreater(seen, 60)
+        # One that joins late begins at the next I plane.
+        encoder.request_intra()
+        late, found = handcast.LiveDecoder(), []
+        for k in range(90, 150):
+            found += late.push(encoder.push([handcast.Hand("left", angles[k - 90 : k - 89], times=[k / 30])]), whole=True)
+        self.assertGreater(len(found), 20)
+        # Without a hand nothing is sent, and lost planes are held.
+        self.assertEqual(handcast.LiveEncoder().push([]), b"")
+        self.assertEqual(handcast.LiveEncoder().finish(), b"")
+        late.lose()
+
+    def test_poses_of_a_tracker_are_taken(self):
+        tracker, encoder, decoder = handcast.Tracker(fps=25.0), handcast.LiveEncoder(rate=25.0), handcast.LiveDecoder()
+        poses = []
+        for k, frame in enumerate(pictures(70)):
+            poses += decoder.push(encoder.push(tracker.push(frame), k / 25, skin_tone=tracker.skin_tone))
+        poses += decoder.push(encoder.finish())
+        self.assertGreater(len(poses), 40)
+        self.assertEqual({pose.side for pose in poses}, {"right"})
+
+    def test_errors_name_the_argument(self):
+        encoder = handcast.LiveEncoder()
+        hand = handcast.Hand("left", np.zeros((1, 29)))
+        encoder.push([hand], 1.0)
+        for words, call in (
+            (["rate", "allowed"], lambda: handcast.LiveEncoder(rate=0)),
+            (["one of them"], lambda: handcast.LiveEncoder(quant=3, bitrate=1.0)),
+            (["time is 0.5 s", "not after the 1 s"], lambda: encoder.push([hand], 0.5)),
+            (["time is NaN"], lambda: encoder.push([hand], float("nan"))),
+            (["skin_tone", "1 to 10"], lambda: encoder.push([hand], skin_tone=11)),
+        ):
+            with self.assertRaises(handcast.Error) as caught:
+                call()
+            for word in words:
+                self.assertIn(word, str(caught.exception))
+        with self.assertRaisesRegex(TypeError, r"poses\[1\] is .*int.*, allowed Pose and Hand"):
+            encoder.push([hand, 3])
+        with self.assertRaisesRegex(TypeError, "data is .*str.*, allowed bytes"):
+            handcast.LiveDecoder().push("text")
+
+
 class Wrong(InFolder):
     """What is refused, and how."""
 
@@ -317,11 +404,21 @@ class Wrong(InFolder):
         self.refused(["wrist[1]"], handcast.Hand, "left", np.zeros((2, 29)), wrist=np.stack([np.eye(4), 2 * np.eye(4)]))
         self.refused(["times is 2", "allowed 3 seconds"], handcast.Hand, "left", np.zeros((3, 29)), times=np.zeros(2))
         hand = handcast.Hand("left", np.zeros((3, 29)))
-        self.refused(["twice"], handcast.Clip, [hand, hand])
+        self.refused(["hands", "twice"], handcast.Clip, [hand, hand])
         holed = np.zeros((3, 29))
         holed[2, 4] = np.nan
         self.refused([f"{handcast.ANGLES[4]} of frame 2"], handcast.Hand, "left", holed)
-        self.refused(["frame 1", "not after"], handcast.Hand, "left", np.zeros((2, 29)), times=[1, 1])
+        zeros = np.zeros((2, 29))
+        self.refused(["times: frame 1", "not after"], handcast.Hand, "left", zeros, times=[1, 1])
+        self.refused(["confidence: frame 1", "2"], handcast.Hand, "left", zeros, confidence=[1, 2])
+        far = np.stack([np.eye(4)] * 2)
+        far[1, 0, 3] = 5000
+        self.refused(["wrist: frame 1", "1000 m"], handcast.Hand, "left", zeros, wrist=far)
+        self.refused(["angles: frame 0", "degrees"], handcast.Hand, "left", zeros + 7)
+        self.refused(["side", "left"], handcast.Hand, "both", zeros)
+        self.refused(["rate is 0", "allowed"], handcast.Hand, "left", zeros, rate=0)
+        self.refused(["rate is 25", "times", "one of the two"], handcast.Hand, "left", zeros, times=[0, 1], rate=25)
+        self.refused(["rate is -1"], handcast.Clip, [hand], -1)
         self.refused(["angles", "T x 29"], handcast.Hand, "left", [[1, 2], [3]])
         self.refused(["angles", "complex128"], handcast.Hand, "left", np.zeros((2, 29), complex))
         self.refused(["valid", "int64"], handcast.Hand, "left", np.zeros((2, 29)), valid=np.zeros(2, np.int64))

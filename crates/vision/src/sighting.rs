@@ -88,6 +88,11 @@ pub trait HandFinder: Debug + Send {
     /// Where the finder cannot do its work at all; `hands` is empty then.
     fn find(&mut self, picture: &RgbImage, time: f64, hands: &mut Vec<Sighting>) -> Result<(), FindError>;
 
+    /// How many hands it saw in the last picture besides those that it gave, as far as it looked for any.
+    fn further(&self) -> usize {
+        0
+    }
+
     /// Forgets the pictures before: the next one is of another film, or of another time.
     fn reset(&mut self) {}
 }
@@ -95,6 +100,10 @@ pub trait HandFinder: Debug + Send {
 impl<F: HandFinder + ?Sized> HandFinder for Box<F> {
     fn find(&mut self, picture: &RgbImage, time: f64, hands: &mut Vec<Sighting>) -> Result<(), FindError> {
         (**self).find(picture, time, hands)
+    }
+
+    fn further(&self) -> usize {
+        (**self).further()
     }
 
     fn reset(&mut self) {

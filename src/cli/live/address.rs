@@ -9,10 +9,11 @@ use qrcode::render::unicode::Dense1x2;
 
 use super::Args;
 
-/// Prints the address: itself on standard output, where no JSON is to come, its QR code for phones on the other.
+/// Prints the address: itself on standard output, where neither JSON nor a recording is to come, its QR code for phones on
+/// the other.
 pub fn print(server: &Server, args: &Args, token: &str, secure: bool) {
     let (address, far) = of(server.address(), args, token, secure);
-    if args.track.json {
+    if args.track.json || args.records_to_standard_output() {
         errln!("{address}");
     } else {
         outln!("{address}");

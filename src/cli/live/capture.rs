@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Context as _, bail};
 use handcast_live::server::clock_ms;
 use handcast_media::{
-    Camera, CameraOptions, ClipInfo, Frame, FrameSource, OpenOptions, cameras, open, open_camera,
+    Address, Camera, CameraOptions, ClipInfo, Frame, FrameSource, OpenOptions, cameras, open, open_camera,
 };
 
 /// Where pictures come from.
@@ -41,6 +41,12 @@ impl Source {
             let frames = open(path, &options)?;
             Ok(Self { frames, clip: Some((path.to_owned(), options, again)) })
         };
+        match Address::of(path)? {
+            // What is at an address of the web comes faster than it is to be seen.
+            Some(Address::Web) => return clip(options),
+            Some(_) => return Ok(Self { frames: open(path, &options)?, clip: None }),
+            None => {}
+        }
         if path.is_file() || path.is_dir() {
             return clip(options);
         }

@@ -105,11 +105,8 @@ impl Worker {
             Ok(planes) => self.publish(planes, publisher)?,
             Err(error) => self.trouble = Some(error.to_string()),
         }
-        if let Some(avatar) = &mut self.avatar
-            && let Err(error) = avatar.send(seconds, poses, &known.hands)
-        {
-            // The room goes on without the avatar.
-            self.trouble = Some(error.to_string());
+        if let Some(avatar) = &mut self.avatar {
+            avatar.send(seconds, poses, &known.hands);
         }
         self.spent.encoded += tracked.elapsed();
         Ok(())
@@ -148,7 +145,7 @@ impl Worker {
             && let Err(error) = recording.add(planes)
         {
             // Those who watch go on; what is recorded ends here.
-            errln!("handcast: {error:#}; the recording ends here, the room goes on");
+            errln!("handcast: {error:#}; the recording is cut here, the room goes on");
             self.cut = Some(error);
             let begun = self.recording.take().filter(Recording::is_begun);
             if let Err(error) = begun.map_or(Ok(()), Recording::finish) {
@@ -166,7 +163,7 @@ impl Worker {
         let published = self.publish(end.into_iter().collect(), publisher);
         let published = ended.and(published).and_then(|()| self.send(1, publisher));
         let recorded = self.recording.take().map_or(Ok(()), Recording::finish);
-        let whole = self.cut.take().map_or(Ok(()), |error| Err(error.context("the recording is not whole")));
+        let whole = self.cut.take().map_or(Ok(()), |error| Err(error.context("the recording is cut")));
         Finished { recorded: recorded.and(whole), published }
     }
 
@@ -184,6 +181,7 @@ mod tests {
     use handcast_live::sender::LivePoseEncoderOptions;
     use handcast_live::transport::{Hello, TransportError};
 
+    use super::super::record::Place;
     use super::*;
 
     /// Notes what it is told, as far as there is a room.
@@ -241,7 +239,7 @@ mod tests {
     }
 
     fn recording(folder: &Path) -> Option<Recording> {
-        Some(Recording::create(&folder.join("hand.fba")).unwrap())
+        Some(Recording::create(Place::File(folder.join("hand.fba"))).unwrap())
     }
 
     #[test]

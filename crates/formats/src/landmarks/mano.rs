@@ -1,14 +1,19 @@
-//! MANO: joint rotations of its hand, and the 21 joints of programs that find it (HaMeR, WiLoR), as JSON or `.npz`.
+//! MANO: joint rotations of its hand, and the 21 joints of programs that find it (HaMeR, WiLoR), as JSON or `.npz`; joints alone
+//! as `.npy`.
 //!
 //! ```text
 //! {"is_right":1,"global_orient":[x,y,z],"hand_pose":[45 × radians],"transl":[x,y,z],"fps":30}
 //! [{"is_right":0,"wilor_preds":{"pred_keypoints_3d":[[[x,y,z] × 21]],"pred_cam_t_full":[[x,y,z]]}},…]
 //! np.savez("hand.npz", hand_pose=…T×45…, global_orient=…T×3…, transl=…T×3…, side="right", fps=30)
+//! np.save("hand.npy", …T×21×3, of two hands T×2×21×3…)
 //! ```
 //!
 //! Names, orders and axes are in `spec/landmarks.md`. Joints are read where there are any; else forward kinematics makes
 //! joints of the rotations, on a hand of mean sizes whose bones lie as those of MANO's flat hand do (`REST`): no file of
 //! MANO is needed. Read only.
+
+use std::fmt::{self, Formatter};
+use std::slice::ChunksExact;
 
 use nalgebra::{Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};
 
@@ -25,7 +30,7 @@ mod tree;
 
 use tree::{Fields, Found, Name};
 
-/// Its rows: as JSON and as arrays of NumPy.
+/// Its rows: as JSON, as arrays of NumPy, and joints as an array.
 pub(crate) static FORMAT: Format = Format {
     id: "mano",
     name: "joint rotations or joints (MANO, HaMeR, WiLoR)",
@@ -46,6 +51,20 @@ pub(crate) static NPZ: Format = Format {
     read: |bytes, limits| {
         let clips = parse_npz(bytes, limits);
         Ok(Content::Joints(clips.map_err(|what| ContentError::Foreign { format: NPZ.id, what })?))
+    },
+    write: None,
+};
+
+pub(crate) static NPY: Format = Format {
+    id: "npy",
+    name: "joints as an array of NumPy",
+    kind: "landmarks",
+    ending: ".npy",
+    hands: 2,
+    sniff: npz::is_array,
+    read: |bytes, limits| {
+        let clips = parse_npy(bytes, limits);
+        Ok(Content::Joints(clips.map_err(|what| ContentError::Foreign { format: NPY.id, what })?))
     },
     write: None,
 };
@@ -104,6 +123,11 @@ pub(super) fn parse_npz(bytes: &[u8], limits: &Limits) -> Result<Vec<LandmarkCli
     clips(tree::arrays(bytes, limits)?, bytes.len(), limits)
 }
 
+/// The hands of a lone array: joints.
+pub(super) fn parse_npy(bytes: &[u8], limits: &Limits) -> Result<Vec<LandmarkClip>, String> {
+    clips(tree::array(bytes, limits)?, bytes.len(), limits)
+}
+
 /// What a row says of a hand.
 enum Body {
     /// Joints in the usual order, and where this stands for MANO's.
@@ -115,6 +139,8 @@ enum Body {
 /// A hand in an instant.
 struct Sample {
     time: f64,
+    /// Which of the hands of its row.
+    hand: usize,
     side: Option<Side>,
     moved: Option<Vector3<f64>>,
     /// `None` where a number is missing.
@@ -137,10 +163,12 @@ fn clips(found: Found, bytes: usize, limits: &Limits) -> Result<Vec<LandmarkClip
         notes.push("rotations are taken as from MANO's flat hand (flat_hand_mean=True)".to_owned());
     }
     reorder(&mut samples);
+    notes.extend(name_two(&mut samples));
     let upright = samples.iter().all(|s| matches!(s.body, Some(Body::Turns(None, _)) | None));
     let timed = found.timed();
     let like = LandmarkClip {
         rate: (!timed).then_some(rate),
+        rate_assumed: !timed && found.rate.is_none(),
         metres: Some(1.0),
         points_per_frame: 21,
         made_by: Some("MANO".into()),
@@ -191,6 +219,11 @@ fn closes(turns: &[f64; 3 * TURNS]) -> f64 {
     turns[..36].iter().skip(2).step_by(3).sum()
 }
 
+/// The same of rotations.
+fn closes_by(turns: &[UnitQuaternion<f64>; TURNS]) -> f64 {
+    closes(&std::array::from_fn(|k| turns[k / 3].scaled_axis()[k % 3]))
+}
+
 /// Turns of the other hand.
 fn mirrored(turns: &[f64; 3 * TURNS]) -> [f64; 3 * TURNS] {
     std::array::from_fn(|k| if k % 3 == 0 { turns[k] } else { -turns[k] })
@@ -209,10 +242,7 @@ impl Kind {
         let mut points: Vec<JointPoints> = Vec::new();
         for sample in samples {
             match &sample.body {
-                Some(Body::Turns(_, turns)) => {
-                    let values: [f64; 3 * TURNS] = std::array::from_fn(|k| turns[k / 3].scaled_axis()[k % 3]);
-                    sum += closes(&values);
-                }
+                Some(Body::Turns(_, turns)) => sum += closes_by(turns),
                 Some(Body::Joints(joints)) => points.extend(landmarks(joints)),
                 None => {}
             }
@@ -323,6 +353,34 @@ fn reorder(samples: &mut [Sample]) {
     }
 }
 
+/// Names two hands in each row of which nothing tells the sides: the one that is more like a right hand is it. Gives what is
+/// worth saying of that.
+fn name_two(samples: &mut [Sample]) -> Option<String> {
+    let unnamed = |samples: &[Sample], hand: usize| {
+        let of_hand = samples.iter().filter(|s| s.side.is_none() && s.hand == hand);
+        let mut points: Vec<JointPoints> = Vec::new();
+        let (mut closing, mut count) = (0.0, 0);
+        for sample in of_hand {
+            count += 1;
+            match &sample.body {
+                Some(Body::Joints(joints)) => points.extend(landmarks(joints)),
+                Some(Body::Turns(_, turns)) => closing += closes_by(turns),
+                None => {}
+            }
+        }
+        // Of joints how many times as far off a left hand is; of rotations how far fingers close as those of a right one.
+        let joints = tell_side(&points).map_or(0.0, |trial| (trial.left / trial.right).ln());
+        (count > 0).then_some(joints + closing)
+    };
+    let [first, second] = [0, 1].map(|hand| unnamed(samples, hand));
+    let right = usize::from(second? > first?);
+    for sample in samples.iter_mut().filter(|s| s.side.is_none()) {
+        sample.side = Some(if sample.hand == right { Side::Right } else { Side::Left });
+    }
+    let which = ["first", "second"][right];
+    Some(format!("two hands in each row: the {which} one is taken for the right hand, as they fit"))
+}
+
 /// The rows of a node's arrays: one instant each.
 struct Rows<'a> {
     fields: &'a Fields,
@@ -349,54 +407,65 @@ impl Rows<'_> {
     }
 
     /// Whether it is the right one of each row, or the side of all.
-    fn side(&self, row: usize, rows: usize) -> Result<Option<Side>, String> {
-        let Some(right) = self.fields.get(Name::Right).filter(|a| !a.data.is_empty()) else {
-            return self.fields.side();
+    fn side(&self, at: At) -> Result<Option<Side>, String> {
+        let told = self.fields.get(Name::Right).map(|a| a.data.as_slice()).filter(|data| !data.is_empty());
+        let Some(list) = told else {
+            return match self.fields.side()? {
+                Some(side) if at.hands > 1 => Err(format!(
+                    "two hands in each row, and the side is {}; is_right may have a value for each",
+                    side.name()
+                )),
+                side => Ok(side),
+            };
         };
-        match right.data.len() {
-            1 => Ok(Some(of_right(right.data[0]))),
-            n if n == rows => Ok(Some(of_right(right.data[row]))),
-            n => Err(format!("is_right has {n} values for {rows} rows")),
-        }
+        let right =
+            if list.len() == at.hands { list.get(at.hand) } else { at.part(list, 1).map(|part| &part[0]) };
+        right
+            .map(|right| Some(of_right(*right)))
+            .ok_or_else(|| format!("is_right has {} values for {at}", list.len()))
     }
 
     /// Seconds of a row.
-    fn time(&self, row: usize, rows: usize) -> Result<f64, String> {
+    fn time(&self, at: At) -> Result<f64, String> {
         let of = |name: Name| match self.fields.get(name).map(|a| a.data.as_slice()) {
             None | Some([]) => Ok(None),
-            Some([one]) if rows == 1 => Ok(Some(*one)),
-            Some(list) if list.len() == rows => Ok(Some(list[row])),
-            Some(list) => Err(format!("{} times for {rows} rows", list.len())),
+            Some([one]) if at.rows == 1 => Ok(Some(*one)),
+            Some(list) if list.len() == at.rows => Ok(Some(list[at.row])),
+            Some(list) => Err(format!("{} times for {at}", list.len())),
         };
         if let Some(time) = of(Name::Time)? {
             return Ok(time);
         }
-        let number = of(Name::Frame)?.unwrap_or((self.number.unwrap_or(0) + row) as f64);
+        let number = of(Name::Frame)?.unwrap_or((self.number.unwrap_or(0) + at.row) as f64);
         Ok(number / self.rate)
     }
 
-    fn moved(&self, row: usize, rows: usize) -> Result<Option<Vector3<f64>>, String> {
+    fn moved(&self, at: At) -> Result<Option<Vector3<f64>>, String> {
         let Some(by) = self.fields.get(Name::Moved) else { return Ok(None) };
-        let at = match by.data.len() {
-            3 => 0,
-            n if n == 3 * rows => 3 * row,
-            n => return Err(format!("the translation has {n} values for {rows} rows, expected 3 a row")),
-        };
-        Ok(Some(Vector3::from_column_slice(&by.data[at..at + 3])).filter(|v| v.iter().all(|v| v.is_finite())))
+        let part = if by.data.len() == 3 { Some(by.data.as_slice()) } else { at.part(&by.data, 3) };
+        let part = part.ok_or_else(|| {
+            format!("the translation has {} values for {at}, expected 3 a row", by.data.len())
+        })?;
+        Ok(Some(Vector3::from_column_slice(part)).filter(|v| v.iter().all(|v| v.is_finite())))
     }
 
     fn joints(&self, joints: &Array, out: &mut Vec<Sample>) -> Result<(), String> {
-        if !matches!(joints.shape.as_slice(), [.., 21, 3]) {
-            return Err(format!("joints of shape {:?}, expected 21 × 3 in each row", joints.shape));
-        }
-        let rows = joints.data.len() / 63;
-        for (row, values) in joints.data.chunks_exact(63).enumerate() {
-            let whole = values.iter().all(|v| v.is_finite());
+        let expected = "expected 21 × 3 in each row, and of two hands 2 × 21 × 3 or 42 × 3";
+        let wrong = || format!("joints of shape {}, {expected}", shape(&joints.shape));
+        let before = match joints.shape.as_slice() {
+            [before @ .., 21, 3] => before.to_vec(),
+            [before @ .., 42, 3] => [before, &[2]].concat(),
+            _ => return Err(wrong()),
+        };
+        for (at, values) in At::each(&before, joints.data.chunks_exact(63)).ok_or_else(wrong)? {
+            // Of a hand that is not there some programs write noughts.
+            let whole = values.iter().all(|v| v.is_finite()) && values.iter().any(|v| *v != 0.0);
             let points = || Box::new(std::array::from_fn(|k| Point3::from_slice(&values[3 * k..3 * k + 3])));
             out.push(Sample {
-                time: self.time(row, rows)?,
-                side: self.side(row, rows)?,
-                moved: self.moved(row, rows)?,
+                time: self.time(at)?,
+                hand: at.hand,
+                side: self.side(at)?,
+                moved: self.moved(at)?,
                 body: whole.then(|| Body::Joints(points())),
             });
         }
@@ -410,37 +479,39 @@ impl Rows<'_> {
         own: bool,
         out: &mut Vec<Sample>,
     ) -> Result<(), String> {
-        let (width, with_wrist) = match pose.shape.as_slice() {
-            [.., 15, 3, 3] => (9 * TURNS, false),
-            [.., 16, 3, 3] => (9 * TURNS + 9, true),
-            [.., 15, 3] | [.., 45] => (3 * TURNS, false),
-            [.., 16, 3] | [.., 48] => (3 * TURNS + 3, true),
-            other => {
-                return Err(format!(
-                    "rotations of shape {other:?}, expected 45, 48, 15 × 3 or 15 × 3 × 3 in each row; principal components \
-                     (use_pca) are turned into rotations by MANO's own file alone"
-                ));
-            }
+        let wrong = || {
+            format!(
+                "rotations of shape {}, expected 45, 48, 15 × 3 or 15 × 3 × 3 in each row, and of two hands 2 × as many; \
+                 principal components (use_pca) are turned into rotations by MANO's own file alone",
+                shape(&pose.shape)
+            )
         };
-        let rows = pose.data.len() / width;
+        let (before, width, with_wrist) = match pose.shape.as_slice() {
+            [before @ .., 15, 3, 3] => (before, 9 * TURNS, false),
+            [before @ .., 16, 3, 3] => (before, 9 * TURNS + 9, true),
+            [before @ .., 15, 3] | [before @ .., 45] => (before, 3 * TURNS, false),
+            [before @ .., 16, 3] | [before @ .., 48] => (before, 3 * TURNS + 3, true),
+            _ => return Err(wrong()),
+        };
         let matrices = width >= 9 * TURNS;
         let step = if matrices { 9 } else { 3 };
-        for (row, values) in pose.data.chunks_exact(width).enumerate() {
+        for (at, values) in At::each(before, pose.data.chunks_exact(width)).ok_or_else(wrong)? {
             let (wrist, joints) = values.split_at(if with_wrist { step } else { 0 });
             let told = if with_wrist {
                 Some(turn(wrist)?)
             } else if own {
-                self.wrist(row, rows)?
+                self.wrist(at)?
             } else {
                 None
             };
-            let side = if own { self.side(row, rows)?.or(side) } else { side };
+            let side = if own { self.side(at)?.or(side) } else { side };
             let turns = self.all_turns(joints, step, side)?;
             let whole = turns.iter().chain(&told).all(|q| q.coords.iter().all(|v| v.is_finite()));
             out.push(Sample {
-                time: self.time(row, rows)?,
+                time: self.time(at)?,
+                hand: at.hand,
                 side,
-                moved: if own { self.moved(row, rows)? } else { None },
+                moved: if own { self.moved(at)? } else { None },
                 body: whole.then(|| Body::Turns(told, Box::new(turns))),
             });
         }
@@ -468,19 +539,68 @@ impl Rows<'_> {
     }
 
     /// The rotation of the wrist in a row, where it is told.
-    fn wrist(&self, row: usize, rows: usize) -> Result<Option<UnitQuaternion<f64>>, String> {
+    fn wrist(&self, at: At) -> Result<Option<UnitQuaternion<f64>>, String> {
         let Some(wrist) = self.fields.get(Name::Wrist) else { return Ok(None) };
-        let step = match wrist.data.len() {
-            n if n == 3 * rows => 3,
-            n if n == 9 * rows => 9,
-            n => {
-                return Err(format!(
-                    "the global rotation has {n} values for {rows} rows, expected 3 or 9 a row"
-                ));
-            }
-        };
-        turn(&wrist.data[step * row..step * (row + 1)]).map(Some)
+        let part = at.part(&wrist.data, 3).or_else(|| at.part(&wrist.data, 9));
+        let part = part.ok_or_else(|| {
+            format!("the global rotation has {} values for {at}, expected 3 or 9 a row", wrist.data.len())
+        })?;
+        turn(part).map(Some)
     }
+}
+
+/// Which hand of an array it is: the row, and which of the one or two hands in it.
+#[derive(Clone, Copy)]
+struct At {
+    row: usize,
+    rows: usize,
+    hand: usize,
+    hands: usize,
+}
+
+impl fmt::Display for At {
+    fn fmt(&self, f: &mut Formatter) -> fmt::Result {
+        write!(f, "{} rows", self.rows)?;
+        if self.hands > 1 { write!(f, " of {} hands", self.hands) } else { Ok(()) }
+    }
+}
+
+impl At {
+    /// The hands of an array with these lengths `before` those of a hand: rows, and in each row one hand or two; `None` where
+    /// there are more.
+    fn each<'a>(
+        before: &[usize],
+        values: ChunksExact<'a, f64>,
+    ) -> Option<impl Iterator<Item = (Self, &'a [f64])>> {
+        // A list of one is one as well.
+        let lengths: Vec<usize> = before.iter().copied().filter(|n| *n != 1).collect();
+        let hands = match (before, lengths.as_slice()) {
+            ([_, .., 2], _) => 2,
+            (_, [] | [_]) => 1,
+            _ => return None,
+        };
+        let rows = values.len() / hands;
+        Some(
+            values
+                .enumerate()
+                .map(move |(k, values)| (Self { row: k / hands, rows, hand: k % hands, hands }, values)),
+        )
+    }
+
+    /// So many numbers of a list that has as many for each hand, or for each row.
+    fn part(self, list: &[f64], width: usize) -> Option<&[f64]> {
+        let at = match list.len() {
+            n if n == width * self.rows * self.hands => self.row * self.hands + self.hand,
+            n if n == width * self.rows => self.row,
+            _ => return None,
+        };
+        list.get(width * at..width * (at + 1))
+    }
+}
+
+/// The lengths of an array in words.
+fn shape(lengths: &[usize]) -> String {
+    lengths.iter().map(usize::to_string).collect::<Vec<_>>().join(" × ")
 }
 
 fn of_right(value: f64) -> Side {
@@ -709,8 +829,88 @@ mod tests {
         assert!(message.contains("neither rotations"), "{message}");
     }
 
+    /// Two hands in each row, the first one left.
+    #[test]
+    fn rows_of_two_hands_are_two_hands() {
+        let [left, right] = [Side::Left, Side::Right].map(|side| {
+            (0..5)
+                .map(|i| {
+                    let joints = twin(Side::Right, WRIST, &motion(i));
+                    if side == Side::Left { joints.map(mirror) } else { joints }
+                })
+                .collect::<Vec<_>>()
+        });
+        let numbers =
+            |joints: &[Point3<f64>; 21]| joints.iter().flat_map(|p| [p.x, p.y, p.z]).collect::<Vec<_>>();
+        let rows = |first: &[[Point3<f64>; 21]], second: &[[Point3<f64>; 21]]| -> Vec<f64> {
+            first.iter().zip(second).flat_map(|(a, b)| [numbers(a), numbers(b)].concat()).collect()
+        };
+        let check = |clips: Vec<LandmarkClip>| {
+            let found: Vec<_> = clips.iter().map(|clip| (clip.side, clip.frames.len())).collect();
+            assert_eq!(found, [(Some(Side::Left), 5), (Some(Side::Right), 5)]);
+            for i in 0..5 {
+                same(&clips[0], i, &left[i]);
+                same(&clips[1], i, &right[i]);
+                assert!((clips[0].frames[i].time - i as f64 / 30.0).abs() < 1e-9);
+            }
+            clips[0].notes.clone()
+        };
+        let lone = |shape: &str, data: &[f64]| parse_npy(&doubles(shape, data), &Limits::default());
+        for shape in ["(5, 42, 3)", "(5, 2, 21, 3)"] {
+            let notes = check(lone(shape, &rows(&left, &right)).unwrap());
+            assert!(
+                notes.iter().any(|note| note.contains("the second one is taken for the right hand")),
+                "{notes:?}"
+            );
+            check(lone(shape, &rows(&right, &left)).unwrap());
+            let zip = zipped(&[
+                ("joints", doubles(shape, &rows(&right, &left))),
+                ("is_right", doubles("(2,)", &[1.0, 0.0])),
+            ]);
+            assert_eq!(check(parse_npz(&zip, &Limits::default()).unwrap()), [""; 0]);
+        }
+        let nested: Vec<Value> =
+            (0..5).map(|i| json!([left[i].map(<[f64; 3]>::from), right[i].map(<[f64; 3]>::from)])).collect();
+        check(parse(&json!({ "joints": nested }).to_string()).unwrap());
+        // Rotations as well.
+        let turns: Vec<Value> =
+            (0..5).map(|i| json!([mirrored(&motion(i)).to_vec(), motion(i).to_vec()])).collect();
+        let clips = parse(&json!({ "hand_pose": turns }).to_string()).unwrap();
+        let found: Vec<_> = clips.iter().map(|clip| (clip.side, clip.frames.len())).collect();
+        assert_eq!(found, [(Some(Side::Left), 5), (Some(Side::Right), 5)]);
+        // One hand a row, in lists of one.
+        let one: Vec<f64> = right.iter().flat_map(numbers).collect();
+        for shape in ["(5, 21, 3)", "(5, 1, 21, 3)", "(1, 5, 21, 3)"] {
+            let clips = lone(shape, &one).unwrap();
+            assert_eq!((clips.len(), clips[0].frames.len(), clips[0].rate_assumed), (1, 5, true), "{shape}");
+            let fast = clips[0].clone().at_rate(60.0);
+            assert!((fast.frames[4].time - 4.0 / 60.0).abs() < 1e-9 && fast.rate == Some(60.0));
+        }
+        for (shape, told) in [("(5, 63)", "5 × 63"), ("(15, 7, 3)", "15 × 7 × 3")] {
+            let message = lone(shape, &one).unwrap_err();
+            assert!(
+                message.contains(&format!(
+                    "joints of shape {told}, expected 21 × 3 in each row, and of two hands"
+                )),
+                "{message}"
+            );
+        }
+        let three = doubles("(5, 3, 21, 3)", &one.repeat(3));
+        let message = parse_npy(&three, &Limits::default()).unwrap_err();
+        assert!(message.contains("joints of shape 5 × 3 × 21 × 3, expected"), "{message}");
+        let told = zipped(&[
+            ("joints", doubles("(5, 42, 3)", &rows(&left, &right))),
+            ("is_right", doubles("(1,)", &[1.0])),
+        ]);
+        assert!(
+            parse_npz(&told, &Limits::default())
+                .unwrap_err()
+                .contains("is_right has 1 values for 5 rows of 2 hands")
+        );
+    }
+
     fn poses(clips: &[LandmarkClip]) -> PoseClip {
-        import_all(clips, &[], &ImportOptions::default()).unwrap().0
+        import_all(clips, &ImportOptions::default()).unwrap().0
     }
 
     #[test]
@@ -751,10 +951,10 @@ mod tests {
     #[test]
     fn wrong_files_are_refused() {
         for (text, words) in [
-            ("{\"hand_pose\":[1,2,3]}", "rotations of shape [3], expected 45, 48"),
+            ("{\"hand_pose\":[1,2,3]}", "rotations of shape 3, expected 45, 48"),
             ("{\"hand_pose\":[[1,2],[3]]}", "lists of unequal lengths"),
             ("{\"betas\":[1]}", "neither rotations (hand_pose …) nor joints"),
-            ("{\"joints_3d\":[[1,2,3]]}", "joints of shape [1, 3], expected 21 × 3"),
+            ("{\"joints_3d\":[[1,2,3]]}", "joints of shape 1 × 3, expected 21 × 3"),
             ("{\"hand_pose\":[1,{}]}", "numbers and objects in one list"),
             ("{\"hand_pose\":", "line 1: "),
         ] {

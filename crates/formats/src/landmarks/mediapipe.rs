@@ -649,6 +649,7 @@ impl Document<'_> {
         let (mut tracks, size) = (Tracks::default(), self.size);
         let empty = LandmarkClip {
             rate,
+            rate_assumed: self.rate.is_none() && rate.is_some(),
             points_per_frame: POINTS,
             axes: Axes::Mediapipe,
             tips_inside: true,

@@ -1,4 +1,4 @@
-//! Arrays of NumPy: `.npz`, a zip of `.npy` files.
+//! Arrays of NumPy: `.npy` files, and `.npz`, a zip of them.
 
 use std::io::{Cursor, Read};
 
@@ -30,6 +30,20 @@ pub(super) fn sniff(bytes: &[u8]) -> bool {
     let length = bytes.get(26..28).map_or(0, |l| usize::from(l[0]) | usize::from(l[1]) << 8);
     let name = bytes.get(LOCAL_HEADER..).and_then(|rest| rest.get(..length));
     bytes.starts_with(ZIP) && name.is_some_and(|name| name.ends_with(b".npy"))
+}
+
+/// A lone array.
+pub(super) fn is_array(bytes: &[u8]) -> bool {
+    bytes.starts_with(NPY)
+}
+
+/// The array of a file of one.
+///
+/// # Errors
+/// What is no array of numbers, and more of them than allowed.
+pub(super) fn alone(bytes: &[u8], limits: &Limits) -> Result<Array, String> {
+    let mut room = Room { bytes: 0, numbers: 0, most: NUMBERS + bytes.len() / 2 };
+    npy(bytes, &mut room, limits)?.ok_or_else(|| "an array of objects, allowed are numbers".into())
 }
 
 /// Numbers that are held of a file, besides one for each two of its bytes: compressed ones may have any number.
@@ -285,13 +299,13 @@ pub(super) mod tests {
         zip.finish().unwrap().into_inner()
     }
 
-    fn alone(file: &[u8]) -> Result<Option<Array>, String> {
+    fn read_alone(file: &[u8]) -> Result<Option<Array>, String> {
         npy(file, &mut Room { bytes: 0, numbers: 0, most: 10_000 }, &Limits::default())
     }
 
     #[test]
     fn types_and_orders_are_read() {
-        let read = |file: Vec<u8>| alone(&file).unwrap().unwrap();
+        let read = |file: Vec<u8>| read_alone(&file).unwrap().unwrap();
         assert_eq!(read(doubles("(2, 3)", &[1.0, 2.0, 3.0, 4.0, 5.0, 6.0])).data[4], 5.0);
         let columns =
             file("<f8", "True", "(2, 3)", &[1.0, 4.0, 2.0, 5.0, 3.0, 6.0].map(f64::to_le_bytes).concat());
@@ -311,7 +325,7 @@ pub(super) mod tests {
         );
         let text: Vec<u8> = "left\0".chars().flat_map(|c| (c as u32).to_le_bytes()).collect();
         assert_eq!(read(file("<U5", "False", "()", &text)).texts, ["left"]);
-        assert_eq!(alone(&file("|O", "False", "()", b"pickle")).unwrap(), None);
+        assert_eq!(read_alone(&file("|O", "False", "()", b"pickle")).unwrap(), None);
     }
 
     #[test]
@@ -326,7 +340,7 @@ pub(super) mod tests {
             (file("<c16", "False", "()", &[0; 16]), "type \"c16\""),
             (NPY.iter().copied().chain([1, 0, 255, 255]).collect(), "a header of 65535 bytes"),
         ] {
-            let message = alone(&file).unwrap_err();
+            let message = read_alone(&file).unwrap_err();
             assert!(message.contains(words), "{message}");
         }
         let all = |_: &str| true;

@@ -26,7 +26,7 @@ use super::{Axes, AxesSource, LandmarkClip, LandmarkFrame, Point, axes, check_ti
 use crate::lines::LineReader;
 use crate::motion::format::{head, says};
 use crate::motion::{
-    Content, ContentError, Format, Lost, WriteError, WriteOptions, Writer, rounded, sides, skeleton,
+    Content, ContentError, Format, Keeps, Lost, WriteError, WriteOptions, Writer, rounded, sides, skeleton,
 };
 use crate::poses::json_message;
 use handcast_hand::landmarks::mediapipe_21;
@@ -46,7 +46,7 @@ pub(crate) static FORMAT: Format = Format {
         Ok(Content::Joints(vec![clip]))
     },
     write: Some(Writer {
-        lost: Lost::Told,
+        keeps: Keeps { palm: false, ..Keeps::all(Lost::Told) },
         write: |clip, o: &WriteOptions, out| write_landmarks(clip, &o.morphology, out).map(|()| Vec::new()),
     }),
 };

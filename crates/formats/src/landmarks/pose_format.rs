@@ -19,7 +19,8 @@ use super::axes::{Axes, Camera};
 use super::{LandmarkClip, LandmarkFrame, PicturePoints, PictureUnit, Point, place};
 use crate::import::FIELD_OF_VIEW;
 use crate::motion::{
-    Content, ContentError, Format, Lost, Ticks, WriteError, WriteOptions, Writer, sides, skeleton,
+    Content, ContentError, Format, Keeps, Lost, Ticks, Times, WriteError, WriteOptions, Writer, sides,
+    skeleton,
 };
 use handcast_hand::clip::MAX_RATE;
 use handcast_hand::landmarks::{JointPoints, mediapipe_21};
@@ -39,7 +40,7 @@ pub(crate) static FORMAT: Format = Format {
         Ok(Content::Joints(clips.map_err(|what| ContentError::Foreign { format: FORMAT.id, what })?))
     },
     write: Some(Writer {
-        lost: Lost::Told,
+        keeps: Keeps { times: Times::Even, palm: false, ..Keeps::all(Lost::Told) },
         write: |clip, options: &WriteOptions, out| {
             let rate = options.rate_of(clip)?;
             write_pose(clip, &options.morphology, rate, PoseVersion::V0_2, out).map(|()| Vec::new())
@@ -335,10 +336,16 @@ pub(super) fn parse(file: &[u8], limits: &Limits) -> Result<Vec<LandmarkClip>, S
         Ok(clips.collect::<Result<Vec<_>, _>>()?.into_iter().flatten().collect())
     };
     for person in 0..body.people {
-        let found = clips(person)?;
-        if !found.is_empty() {
-            return Ok(found);
+        let mut found = clips(person)?;
+        if found.is_empty() {
+            continue;
         }
+        let frames = || found.iter().flat_map(|clip| &clip.frames);
+        if frames().all(|frame| frame.confidence.is_none_or(|confidence| confidence == 1.0)) {
+            // Detectors that know no confidence say 1 of all that is there.
+            found.iter_mut().flat_map(|clip| &mut clip.frames).for_each(|frame| frame.confidence = None);
+        }
+        return Ok(found);
     }
     Err("no frame has a hand".into())
 }
@@ -384,8 +391,7 @@ fn clip_of(
             image: picture.map(|points| points.map(|p| p.map(|p| p.xy()))),
             picture: picture
                 .map(|points| Box::new(PicturePoints { unit: PictureUnit::Pixels, deep: hand.deep, points })),
-            // Detectors that know no confidence say 1 of all that is there.
-            confidence: (mean < 1.0 && !confidences.is_empty()).then_some(mean),
+            confidence: (!confidences.is_empty()).then_some(mean),
             ..LandmarkFrame::of(time, points)
         });
     }
@@ -616,7 +622,10 @@ mod tests {
 
         #[test]
         fn what_is_written_is_read_again(
-            confidences in prop::collection::vec(prop::option::of(0.0f64..1.0), 2..20),
+            confidences in prop::collection::vec(
+                prop_oneof![Just(None), Just(Some(1.0)), (0.0f64..1.0).prop_map(Some)],
+                2..20,
+            ),
             at in prop::array::uniform3(-0.3f64..0.3),
             turn in prop::array::uniform3(-3.0f64..3.0),
             left in any::<bool>(),
@@ -630,6 +639,7 @@ mod tests {
                 let frame = TimedPose::new(i as f64 / 30.0, pose);
                 clip.frames.push(TimedPose { confidence, ..frame });
             }
+            let doubtful = clip.frames.iter().any(|frame| frame.confidence.is_some_and(|c| (c as f32) < 1.0));
             let mut bytes = Vec::new();
             write_pose(&clip, &Morphology::default(), 30.0, PoseVersion::V0_2, &mut bytes).unwrap();
             let back = Motion::parse("x".as_ref(), &bytes).unwrap();
@@ -640,6 +650,7 @@ mod tests {
                 prop_assert!(a.pose.rotation.angle_to(&b.pose.rotation) < 1e-3);
                 let sure = a.confidence.map_or(1.0, |c| c.max(LEAST_CONFIDENCE));
                 prop_assert!((b.confidence.unwrap_or(1.0) - sure).abs() < 1e-6);
+                prop_assert_eq!(b.confidence.is_some(), doubtful);
             }
         }
     }

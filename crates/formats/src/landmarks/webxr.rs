@@ -27,7 +27,8 @@ use serde_json::{Value, json};
 use super::{LandmarkClip, LandmarkFrame, Point, check_time, place, tell_absences};
 use crate::motion::format::{head, says};
 use crate::motion::{
-    Content, ContentError, Format, Lost, Motion, WriteError, WriteOptions, Writer, rounded, sides, skeleton,
+    Content, ContentError, Format, Keeps, Lost, Motion, WriteError, WriteOptions, Writer, rounded, sides,
+    skeleton,
 };
 use crate::whole::Counted;
 use handcast_hand::landmarks::{JointPoints, measure};
@@ -47,7 +48,7 @@ pub(crate) static FORMAT: Format = Format {
     sniff,
     read,
     write: Some(Writer {
-        lost: Lost::LeftOut,
+        keeps: Keeps::all(Lost::LeftOut),
         write: |clip, o: &WriteOptions, out| write_webxr(clip, &o.morphology, out).map(|()| Vec::new()),
     }),
 };

@@ -13,7 +13,7 @@
 use std::io::Write;
 
 use super::format::head;
-use super::{BapTrack, ContentError, Format, Lost, Motion, WriteError, WriteOptions, Writer};
+use super::{BapTrack, ContentError, Format, Keeps, Lost, Motion, Times, WriteError, WriteOptions, Writer};
 use handcast_codec::mapping::Profile;
 use handcast_codec::{bap_frames, on_ticks};
 use handcast_fba::bap::text;
@@ -30,7 +30,10 @@ pub(crate) static FORMAT: Format = Format {
     hands: 2,
     sniff,
     read: |bytes, limits| Ok(read(bytes, limits)?.into()),
-    write: Some(Writer { lost: Lost::Bridged, write }),
+    write: Some(Writer {
+        keeps: Keeps { times: Times::Skipping, sizes: false, ..Keeps::all(Lost::Bridged) },
+        write,
+    }),
 };
 
 /// A header of four words, all but the name numbers.

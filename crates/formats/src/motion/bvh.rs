@@ -34,7 +34,8 @@ use thiserror::Error;
 
 use super::format::head;
 use super::{
-    Content, Format, Lost, Motion, Ticks, WriteError, WriteOptions, Writer, rounded, sides, skeleton,
+    Content, Format, Keeps, Lost, Motion, Ticks, Times, WriteError, WriteOptions, Writer, rounded, sides,
+    skeleton,
 };
 use crate::landmarks::LandmarkClip;
 use handcast_gltf::JointNames;
@@ -57,7 +58,7 @@ pub(crate) static FORMAT: Format = Format {
         Parsed::Ours(clip) => Ok(Motion::of(&FORMAT, clip).into()),
         Parsed::Foreign(hands) => Ok(Content::Joints(hands)),
     },
-    write: Some(Writer { lost: Lost::Bridged, write }),
+    write: Some(Writer { keeps: Keeps { times: Times::Even, ..Keeps::all(Lost::Bridged) }, write }),
 };
 
 pub(crate) fn sniff(bytes: &[u8]) -> bool {

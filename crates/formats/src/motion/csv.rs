@@ -15,7 +15,7 @@ use csv::{ReaderBuilder, StringRecord, Trim};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use thiserror::Error;
 
-use super::{Format, Lost, Motion, WriteError, WriteOptions, Writer};
+use super::{Format, Keeps, Lost, Motion, WriteError, WriteOptions, Writer};
 use crate::batches::write_each;
 use crate::decimal::push_fixed;
 use handcast_hand::{
@@ -35,7 +35,7 @@ pub(crate) static FORMAT: Format = Format {
         Ok(Motion::of(&FORMAT, read_within(&String::from_utf8_lossy(bytes), limits)?).into())
     },
     write: Some(Writer {
-        lost: Lost::LeftOut,
+        keeps: Keeps { sizes: false, ..Keeps::all(Lost::LeftOut) },
         write: |clip, _: &WriteOptions, out| write_csv(clip, out).map(|()| Vec::new()),
     }),
 };

@@ -23,13 +23,13 @@ use std::io;
 use std::path::Path;
 
 use super::{
-    Content, ContentError, WriteError, WriteOptions, Written, bap, bvh, check_poses, csv, glb, json, stream,
-    vrma,
+    Content, ContentError, Keeps, WriteError, WriteOptions, Written, bap, bvh, check_poses, csv, glb, json,
+    stream, vrma,
 };
 use crate::landmarks::{iwer, leap, mano, mediapipe, points, pose_format, still, webxr, xr};
 use crate::lines::unmarked;
 use crate::poses;
-use handcast_hand::{PoseClip, Side};
+use handcast_hand::PoseClip;
 use handcast_limits::Limits;
 
 /// Reads a whole file.
@@ -37,63 +37,10 @@ type Read = fn(&[u8], &Limits) -> Result<Content, ContentError>;
 /// Writes a whole file; gives what is worth saying of it.
 type Write = fn(&PoseClip, &WriteOptions, &mut dyn io::Write) -> Result<Vec<String>, WriteError>;
 
-/// What becomes of the poses of a lost hand in a file.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Lost {
-    /// It says that the hand was lost then.
-    Told,
-    /// They are not in it.
-    LeftOut,
-    /// The hand is there all the time: it rests, or goes on from the pose before to the one behind.
-    Bridged,
-}
-
-impl Lost {
-    /// What is worth saying of a clip in such a file.
-    fn notes(self, clip: &PoseClip, format: &Format) -> impl Iterator<Item = String> {
-        let late = if self == Self::Bridged { late(clip, format) } else { None };
-        self.lost(clip, format).into_iter().chain(late)
-    }
-
-    fn lost(self, clip: &PoseClip, format: &Format) -> Option<String> {
-        let what = match self {
-            Self::Told => return None,
-            Self::LeftOut => "they are left out",
-            Self::Bridged => "it rests or moves on meanwhile, as if it had been seen",
-        };
-        let lost = clip.frames.iter().filter(|frame| !frame.valid).count();
-        let all = clip.frames.len();
-        (lost > 0).then(|| {
-            format!("{lost} of {all} poses are of a lost hand, which {} cannot tell: {what}", format.ending)
-        })
-    }
-}
-
-/// How much later than the clip a hand comes, or how much earlier it goes, for that to be told, seconds.
-const LATE: f64 = 0.1;
-
-/// That a hand comes later than the clip begins, or goes earlier than it ends.
-fn late(clip: &PoseClip, format: &Format) -> Option<String> {
-    let span = |frames: &mut dyn Iterator<Item = f64>| {
-        frames.fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], time| [a.min(time), b.max(time)])
-    };
-    let [first, last] = span(&mut clip.frames.iter().map(|frame| frame.time));
-    let there = |side: Side| {
-        let [from, to] = span(&mut clip.of(side).map(|frame| frame.time));
-        (from.is_finite() && (from > first + LATE || to < last - LATE))
-            .then(|| format!("the {} hand is there from {from:.2} to {to:.2} s", side.name()))
-    };
-    let hands: Vec<String> = [Side::Left, Side::Right].into_iter().filter_map(there).collect();
-    (!hands.is_empty()).then(|| {
-        let hands = hands.join(", ");
-        format!("{hands}, which {} cannot tell: it rests before and behind", format.ending)
-    })
-}
-
 /// How a format is written.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Writer {
-    pub lost: Lost,
+    pub keeps: Keeps,
     pub write: Write,
 }
 
@@ -119,7 +66,7 @@ pub struct Format {
 }
 
 /// All of them; those that are written come first.
-pub static FORMATS: [&Format; 19] = [
+pub static FORMATS: [&Format; 20] = [
     &glb::FORMAT,
     &poses::FORMAT,
     &json::FORMAT,
@@ -133,6 +80,7 @@ pub static FORMATS: [&Format; 19] = [
     &bap::FORMAT,
     &stream::FORMAT,
     &mano::NPZ,
+    &mano::NPY,
     &mano::FORMAT,
     &leap::FORMAT,
     &iwer::FORMAT,
@@ -331,7 +279,7 @@ impl Format {
             check_poses(clip)?;
         }
         let mut notes = (writer.write)(clip, options, out)?;
-        notes.extend(writer.lost.notes(clip, self));
+        notes.extend(writer.keeps.notes(clip, options, self.ending));
         Ok(notes)
     }
 

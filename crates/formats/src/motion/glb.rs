@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 
 use super::format::{is_json, names_any};
 use super::{
-    ContentError, Format, Lost, Motion, MotionError, WriteError, WriteOptions, Writer, Written, vrma,
+    ContentError, Format, Keeps, Lost, Motion, MotionError, WriteError, WriteOptions, Writer, Written, vrma,
 };
 use handcast_gltf::{
     Clip, GltfError, ImportOptions, Imported, JointMap, as_document, export, import, retarget,
@@ -27,7 +27,7 @@ pub(crate) static FORMAT: Format = Format {
     sniff: |bytes| bytes.starts_with(b"glTF") && !vrma::names_extension(bytes),
     read: |bytes, limits| Ok(read(&FORMAT, bytes, limits)?.into()),
     write: Some(Writer {
-        lost: Lost::Bridged,
+        keeps: Keeps::all(Lost::Bridged),
         write: |clip, options, out| {
             let Written { bytes, notes } = write_glb(clip, options)?;
             out.write_all(&bytes)?;
@@ -46,7 +46,7 @@ pub(crate) static DOCUMENT: Format = Format {
     sniff: |bytes| is_json(bytes) && names_any(bytes, &["asset", "accessors", "bufferViews"]),
     read: |bytes, limits| Ok(read(&DOCUMENT, bytes, limits)?.into()),
     write: Some(Writer {
-        lost: Lost::Bridged,
+        keeps: Keeps::all(Lost::Bridged),
         write: |clip, options, out| {
             let Written { bytes, notes } = write_glb(clip, options)?;
             out.write_all(&as_document(&bytes)?)?;

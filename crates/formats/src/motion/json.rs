@@ -16,7 +16,7 @@ use serde::{Deserialize, Deserializer};
 use serde_json::{Map, Value};
 
 use super::format::{head, says};
-use super::{ContentError, Format, Lost, Motion, WriteError, WriteOptions, Writer};
+use super::{ContentError, Format, Keeps, Lost, Motion, WriteError, WriteOptions, Writer};
 use crate::batches::write_each;
 use crate::poses::{
     self, DocumentHead, FrameLine, PoseWriter, PosesError, check_frames, is_lines, push_frame,
@@ -34,7 +34,7 @@ pub(crate) static FORMAT: Format = Format {
     sniff: |bytes| head(bytes).starts_with(b"{") && says(head(bytes), poses::NAME) && !is_lines(bytes),
     read: |bytes, limits| Ok(Motion::of(&FORMAT, read_within(bytes, limits)?).into()),
     write: Some(Writer {
-        lost: Lost::Told,
+        keeps: Keeps::all(Lost::Told),
         write: |clip, _: &WriteOptions, out| write_json(clip, out).map(|()| Vec::new()),
     }),
 };

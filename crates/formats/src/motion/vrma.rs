@@ -1,6 +1,6 @@
 //! Animations for VRM avatars ([`handcast_gltf::export_vrma`]): hands and fingers against the T-pose, without places.
 
-use super::{ContentError, Format, Lost, Motion, WriteError, WriteOptions, Writer, glb};
+use super::{ContentError, Format, Keeps, Lost, Motion, WriteError, WriteOptions, Writer, glb};
 use handcast_gltf::{Clip, ImportOptions, export_vrma, import};
 use handcast_hand::{Finger, JointAngle, PoseClip};
 use handcast_limits::Limits;
@@ -14,7 +14,7 @@ pub(crate) static FORMAT: Format = Format {
     hands: 2,
     sniff: |bytes| bytes.starts_with(b"glTF") && names_extension(bytes),
     read: |bytes, limits| Ok(read(bytes, limits)?.into()),
-    write: Some(Writer { lost: Lost::Bridged, write }),
+    write: Some(Writer { keeps: Keeps::all(Lost::Bridged), write }),
 };
 
 /// Whether the document of a GLB, which comes first, names the extension.

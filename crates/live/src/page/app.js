@@ -3,7 +3,7 @@
 import { load, loadSurface, skinningRows } from "./handcast.js";
 import { link, name } from "./link.js";
 import { Room } from "./room.js";
-import { OwnHands } from "./send.js";
+import { Sharpness } from "./sharpness.js";
 import { Strip } from "./strip.js";
 
 const element = id => document.getElementById(id);
@@ -47,8 +47,6 @@ class Shown {
 
 // Metres between the middles of two senders.
 const APART = 0.34;
-// So many pictures are timed together; more than so many milliseconds in the middle is slow. The least share of sharpness.
-const [PACED, SLOW, LEAST_SHARP] = [8, 28, 0.5];
 // Milliseconds that skins wait for a sketch of the first hand.
 const LONGEST_SKETCH = 1000;
 // Share of the way to a smaller view that is gone at each picture.
@@ -152,28 +150,17 @@ function label(hands, width, height) {
   }
 }
 
-// How sharp pictures are, as a share of the screen's: a slow graphics card makes up for it, so that hands come in time.
-class Sharpness {
-  #took = [];
-  share = 1;
-
-  // The screen's next picture came so many milliseconds after one that was drawn.
-  next(took) {
-    this.#took.push(took);
-    if (this.#took.length < PACED) return;
-    if (quantile(this.#took, 0.5) > SLOW) this.share = Math.max(LEAST_SHARP, this.share - LEAST_SHARP / 2);
-    this.#took = [];
-  }
-}
 const sharpness = new Sharpness();
 
 // Size of the stage, as the page is laid out.
 let stage = [0, 0];
 let handsSeen = "";
-// When the room was asked for; whether a hand has been drawn, and milliseconds until the picture with it was.
+// When the room was asked for; whether a hand has been drawn, and milliseconds until the picture with it was, from there and
+// since the page was opened.
 let asked = 0;
 let begun = false;
 let joined = null;
+let opened = null;
 // What the graphics card passes behind the first skin, and milliseconds until it has.
 let behindFirst = null;
 let skinned = null;
@@ -197,7 +184,7 @@ function paint(force) {
   if (!due && !force && seen === handsSeen) return;
   handsSeen = seen;
   const dense = Math.min(2, window.devicePixelRatio || 1) * sharpness.share;
-  const [width, height] = stage;
+  const [width, height] = stage[0] ? stage : [canvas.clientWidth, canvas.clientHeight];
   if (!width || !height) return;
   const size = [Math.round(width * dense), Math.round(height * dense)];
   if (canvas.width !== size[0] || canvas.height !== size[1]) [canvas.width, canvas.height] = size;
@@ -217,8 +204,11 @@ function paint(force) {
 
 // Whether the first hand has been drawn, and the first skin.
 function lookAtFirst() {
-  if (begun && joined === null) {
-    joined = performance.now() - asked;
+  if (between) {
+    between = false;
+  } else if (begun && joined === null) {
+    opened = performance.now();
+    joined = opened - asked;
     beforeSkins.go();
   }
   if (!behindFirst || painter.gl.getSyncParameter(behindFirst, painter.gl.SYNC_STATUS) !== painter.gl.SIGNALED) return;
@@ -228,12 +218,24 @@ function lookAtFirst() {
   sketch.clear();
 }
 
+// Browsers that start give their first picture late: a first hand that is there before it is drawn at once, and shown with it.
+const EARLY = 8;
+// Whether it was drawn between two of the screen's pictures, of which the next one shows it.
+let between = false;
+const early = setInterval(() => {
+  if (!begun && !ticked && room?.handcast) {
+    paint(true);
+    between = begun;
+  }
+  if (begun || ticked) clearInterval(early);
+}, EARLY);
+
 let force = true;
 // Whether skins were drawn for the last picture of the screen, and when that was.
 let painted = false;
 let ticked = 0;
 function tick(at) {
-  if (painted && skinned !== null) sharpness.next(at - ticked);
+  if (skinned !== null) sharpness.next(at - ticked, painted);
   [painted, ticked] = [false, at];
   lookAtFirst();
   if (room) paint(force);
@@ -271,20 +273,29 @@ function second() {
 
 // Why hands are sketched alone.
 let unskinned = "";
+// Who has gone last, and until when that is said.
+let leaving = { words: "", until: 0 };
 function facts() {
   const hands = [...shownHands.values()].length;
   const many = (n, what) => `${n} ${what}${n === 1 ? "" : "s"}`;
   const there = room.open ? `${many(room.senders.size, "sender")}, ${many(hands, "hand")}, by ${room.link.by}` : "not connected";
-  write("facts", unskinned ? `${there}. ${unskinned}` : there);
+  const gone = room.senders.size && performance.now() < leaving.until ? leaving.words : "";
+  write("facts", [there, gone, unskinned].filter(Boolean).join(". "));
 }
 
+// Milliseconds for which it is said beside those who stay that a sender has gone.
+const PARTED = 10_000;
 let parted = "";
 // Why no hand can be shown here.
 let broken = "";
 function told(what, more) {
   if (broken) return say(broken);
   if (what === "refused") return refused(more);
-  if (what === "end") parted = more ? "The sender is gone: its connection broke." : "The sender has left.";
+  if (what === "end") {
+    const how = more.gone ? "is gone: its connection broke" : "has left";
+    parted = `The sender ${how}.`;
+    leaving = { words: `Sender ${more.sender + 1} ${how}`, until: performance.now() + PARTED };
+  }
   if (what === "error" || what === "closed") say(more);
   // Until there is a connection again it stays said why there is none.
   else if (room?.open) {
@@ -350,7 +361,8 @@ if (wish.has("buffer")) {
   element("buffer").value = wish.get("buffer");
   setBuffer();
 }
-const own = new OwnHands(room, element("own"), text => write("send-now", text), refused);
+// This browser's camera, once somebody has sent from it.
+let own = { on: false };
 if (!navigator.mediaDevices?.getUserMedia) {
   element("send").disabled = true;
   write("send-now", isSecureContext ? "This browser gives no camera." : "A camera needs https: the room is to be opened with --tls.");
@@ -362,7 +374,13 @@ function showSending() {
 element("send").addEventListener("click", async () => {
   element("send").disabled = true;
   try {
-    if (own.on) await own.stop(); else await own.start();
+    if (own.on) {
+      await own.stop();
+    } else {
+      const { OwnHands } = await import("./send.js");
+      own = new OwnHands(room, element("own"), text => write("send-now", text), refused);
+      await own.start();
+    }
   } catch (error) {
     write("send-now", error.message);
   }
@@ -379,7 +397,7 @@ setInterval(() => {
   if (own.on) write("send-now", own.trouble ?? "");
   write("send-pace", own.on && !own.trouble ? own.words : "");
 }, 1000);
-tick(performance.now());
+requestAnimationFrame(tick);
 async function dress() {
   await Promise.race([beforeSkins.over, new Promise(go => setTimeout(go, LONGEST_SKETCH))]);
   try {
@@ -406,8 +424,8 @@ window.handcast = {
       sender: hand.owner.number, side: hand.side, valid: hand.valid, wrist: [...jointPlace(hand.frames, 0)], tip: [...jointPlace(hand.frames, 9)],
       sizes: hand.version, tone: hand.tone,
     })),
-    planes: [...room.senders.values()].reduce((sum, s) => sum + s.planes, 0), trip: room.trip, offset: room.offset, joined, skinned, sharpness: sharpness.share,
-    sending: own.on && own.pace, message: element("message").hidden ? null : element("message").textContent,
+    planes: [...room.senders.values()].reduce((sum, s) => sum + s.planes, 0), trip: room.trip, offset: room.offset, joined, opened, skinned, sharpness: sharpness.share,
+    sending: own.on && own.pace, message: element("message").hidden ? null : element("message").textContent, facts: element("facts").textContent,
   }),
   picture: () => { paint(true); return canvas.toDataURL("image/png"); },
 };

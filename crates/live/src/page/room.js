@@ -167,7 +167,7 @@ export class Room {
       case "gap": this.sender(message.sender).gap(); break;
       case "hello": this.sender(message.sender).sides = message.hands; this.tell("senders"); break;
       case "welcome": this.own = message.sender; break;
-      case "end": this.leave(message.sender); this.tell("end", message.gone); break;
+      case "end": this.leave(message.sender); this.tell("end", message); break;
       case "intra": this.wanted = true; break;
       case "refused":
         this.tell("refused", message.full ? "The room is full: no more hands can be sent to it." : "Nobody but the room itself sends here.");

@@ -16,7 +16,8 @@ class Sketch {
     const { canvas } = this;
     canvas.hidden = false;
     [canvas.width, canvas.height] = [width * dense, height * dense].map(Math.round);
-    const context = canvas.getContext("2d");
+    // Drawn without the graphics card, which may not be there yet, or be busy with skins.
+    const context = canvas.getContext("2d", { willReadFrequently: true });
     context.scale(dense, dense);
     context.lineCap = context.lineJoin = "round";
     const screen = point => {

@@ -132,6 +132,8 @@ pub struct NetFinder {
     before: Vec<Followed>,
     /// Pictures since palms were looked for.
     since: usize,
+    /// Hands that there was no room for when they were looked for in the last picture.
+    further: usize,
     /// The picture in which they were.
     scene: Scene,
 }
@@ -238,6 +240,7 @@ impl NetFinder {
             last: Vec::new(),
             before: Vec::new(),
             since: 0,
+            further: 0,
             scene: Scene::default(),
         })
     }
@@ -331,8 +334,12 @@ impl NetFinder {
         });
         let room = self.options.hands.saturating_sub(hands.len());
         let added = regions.iter().take(room).try_for_each(|(region, _)| self.add(picture, region, hands));
+        let mut all = hands.clone();
+        let others =
+            regions.iter().skip(room).try_for_each(|(region, _)| self.add(picture, region, &mut all));
+        self.further = all.len() - hands.len();
         self.regions = regions;
-        added
+        added.and(others)
     }
 
     /// The hand a picture later: its joints are looked for, or it goes on.
@@ -398,6 +405,7 @@ fn usable(region: &Region) -> bool {
 impl HandFinder for NetFinder {
     fn find(&mut self, picture: &RgbImage, _time: f64, hands: &mut Vec<Sighting>) -> Result<(), FindError> {
         hands.clear();
+        self.further = 0;
         if picture.width() == 0 || picture.height() == 0 {
             return Ok(());
         }
@@ -405,6 +413,10 @@ impl HandFinder for NetFinder {
             hands.clear();
             FindError::new(error)
         })
+    }
+
+    fn further(&self) -> usize {
+        self.further
     }
 
     fn reset(&mut self) {

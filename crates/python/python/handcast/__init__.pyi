@@ -13,6 +13,8 @@ __all__ = [
     "Error",
     "Hand",
     "HandcastWarning",
+    "LiveDecoder",
+    "LiveEncoder",
     "Pose",
     "Tracker",
     "__version__",
@@ -56,13 +58,13 @@ class Hand:
         *,
         wrist: ArrayLike | None = None,
         times: ArrayLike | None = None,
-        rate: float = 30.0,
+        rate: float | None = None,
         confidence: ArrayLike | None = None,
         valid: ArrayLike | None = None,
         like: Hand | Pose | None = None,
     ) -> Self:
-        """Poses of arrays as the attributes have them, or lists. Without times they are `rate` a second; sizes are those of
-        `like`. Raises Error that names the argument, and the frame where there is one."""
+        """Poses of arrays as the attributes have them, or lists. Without times they are `rate` a second, 30 where neither is
+        given; both are refused. Sizes are those of `like`. Raises Error that names the argument, and the frame where there is one."""
     def __eq__(self, other: object, /) -> bool: ...
     def __reduce__(self) -> tuple[Any, ...]: ...
     __hash__: ClassVar[None]  # type: ignore[assignment]
@@ -146,6 +148,61 @@ class Clip:
     def left(self) -> Hand | None: ...
     @property
     def right(self) -> Hand | None: ...
+
+@final
+class LiveEncoder:
+    """Poses to the bytes of a live stream, as they come: one end of a socket, LiveDecoder is the other.
+
+    rate: frames per second, those of the camera. One aim at most: target_rms in degrees (0.5 by default), max_error of an angle
+    in degrees, max_error_mm of a fingertip in millimetres, bitrate in kbit/s, quant 0 to 31. intra: seconds between the planes
+    at which a reader can begin."""
+
+    def __new__(
+        cls,
+        *,
+        rate: float = 30.0,
+        target_rms: float | None = None,
+        max_error: float | None = None,
+        max_error_mm: float | None = None,
+        bitrate: float | None = None,
+        quant: int | None = None,
+        intra: float = 5.0,
+    ) -> Self: ...
+    def push(
+        self, poses: Iterable[Pose | Hand], time: float | None = None, *, skin_tone: int | None = None
+    ) -> bytes:
+        """The bytes (whole planes, none while nothing moves) of an instant: poses as Tracker.push gives them, or Hands of
+        arrays; none where no hand is seen. time: seconds, by default those of the last pose, or a frame after the push
+        before."""
+    def request_intra(self) -> None:
+        """Has the next plane be one at which a reader can begin, as soon as the rate has room for it."""
+    def finish(self) -> bytes:
+        """The bytes that end the stream."""
+    @property
+    def hands(self) -> list[_Side]:
+        """The hands that the stream carries at the moment."""
+
+@final
+class LiveDecoder:
+    """The bytes of a live stream to poses, as they come in pieces of any length.
+
+    It may begin in the middle of a stream. With conceal, damage is no error: a hand keeps its last pose, not valid and with
+    less and less confidence, up to the next I plane."""
+
+    def __new__(cls, *, conceal: bool = True) -> Self: ...
+    def push(self, data: Buffer, *, whole: bool = False) -> list[Pose]:
+        """The poses that are known with these bytes. whole: they end with a plane, as what LiveEncoder.push gives does: its poses
+        do not wait for what follows."""
+    def lose(self) -> list[Pose]:
+        """Says that bytes are missing here; the poses that were known."""
+    def finish(self) -> list[Pose]:
+        """No more bytes come: the poses that are left."""
+    @property
+    def rate(self) -> float:
+        """Frames per second."""
+    @property
+    def skin_tone(self) -> int | None:
+        """Tone of the skin, 1 (lightest) to 10; None where the stream has told none."""
 
 def track(
     source: _Path | Iterable[_Picture],

@@ -11,6 +11,8 @@ from . import Clip as Clip
 from . import Error as Error
 from . import Hand as Hand
 from . import HandcastWarning as HandcastWarning
+from . import LiveDecoder as LiveDecoder
+from . import LiveEncoder as LiveEncoder
 from . import Pose as Pose
 from . import __version__ as __version__
 from . import decode as decode
@@ -28,6 +30,8 @@ __all__ = [
     "Error",
     "Hand",
     "HandcastWarning",
+    "LiveDecoder",
+    "LiveEncoder",
     "Pose",
     "Tracker",
     "Worker",

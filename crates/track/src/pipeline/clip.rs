@@ -62,6 +62,8 @@ pub struct ClipEnd {
     pub skin_tone: Option<u8>,
     /// What of the clip could not be shown ([`FrameSource::shortfall`]).
     pub shortfall: Option<String>,
+    /// Most hands that a finder saw in a frame beside the two that are tracked at most.
+    pub further: usize,
     /// Time spent in each stage; of single frames nothing.
     pub timings: ClipTimings,
 }
@@ -197,12 +199,13 @@ fn track_on(
         // Lets the worker stop when the tracker has given up.
         drop(receiver);
         // A failure of the source explains whatever the tracker missed after it.
-        let (segment, shortfall) = worker.join().map_err(|_| ClipError::Thread)??;
+        let (segment, shortfall, further) = worker.join().map_err(|_| ClipError::Thread)??;
         tracked?;
         let clock = clock.lock().map(|mut clock| std::mem::take(&mut *clock)).unwrap_or_default();
         let timings =
             ClipTimings { decode: clock.sum, segment, track: stage.time(), frames: FrameTimings::default() };
-        let end = ClipEnd { hands: stage.hands(), rate, skin_tone: stage.skin_tone(), shortfall, timings };
+        let end =
+            ClipEnd { hands: stage.hands(), rate, skin_tone: stage.skin_tone(), shortfall, further, timings };
         Ok((end, clock))
     })
 }
@@ -259,14 +262,14 @@ impl Seeker for Remote {
     }
 }
 
-/// Segments all frames, with their masks where there are some, and sends them on. Gives the time it took, and what of the
-/// clip could not be shown.
+/// Segments all frames, with their masks where there are some, and sends them on. Gives the time it took, what of the clip
+/// could not be shown, and how many hands were seen beside those that are tracked.
 fn segment(
     mut frames: Prefetch,
     mut masks: Option<Box<dyn FrameSource>>,
     mut silhouettes: Silhouettes,
     mut next: Remote,
-) -> Result<(Duration, Option<String>), ClipError> {
+) -> Result<(Duration, Option<String>, usize), ClipError> {
     let mut all = || -> Result<(), Stop> {
         while let Some(frame) = frames.next_frame().map_err(ClipError::from)? {
             let mask = masks.as_mut().map(|masks| mask_for(&frame, masks.as_mut())).transpose()?;
@@ -275,7 +278,7 @@ fn segment(
         silhouettes.finish(&mut next)
     };
     match all() {
-        Ok(()) | Err(Stop::Unheard) => Ok((silhouettes.time(), frames.shortfall())),
+        Ok(()) | Err(Stop::Unheard) => Ok((silhouettes.time(), frames.shortfall(), silhouettes.further())),
         Err(Stop::Failed(error)) => Err(error),
     }
 }

@@ -58,7 +58,12 @@ pub(super) struct SightedSilhouettes {
     /// Frames whose colours are still being learnt.
     waiting: Option<VecDeque<(Frame, Vec<Sighting>)>>,
     enough: usize,
+    /// Most hands in a frame beside two.
+    further: usize,
 }
+
+/// Most hands that are tracked.
+const TRACKED: usize = 2;
 
 impl SightedSilhouettes {
     pub(super) fn new(finder: Box<dyn HandFinder>, options: &ClipOptions) -> Self {
@@ -71,7 +76,13 @@ impl SightedSilhouettes {
             last: Vec::new(),
             waiting: Some(VecDeque::new()),
             enough: options.learning_frames.max(1),
+            further: 0,
         }
+    }
+
+    /// Most hands that were seen in a frame beside those that are tracked at most.
+    pub(super) fn further(&self) -> usize {
+        self.further
     }
 
     /// Takes a frame; gives those whose silhouettes are found.
@@ -102,6 +113,7 @@ impl SightedSilhouettes {
         self.finder.find(&frame.image, frame.time, &mut hands)?;
         hands.retain(is_sound);
         let seen = hands.len();
+        self.further = self.further.max(seen.saturating_sub(TRACKED) + self.finder.further());
         for (held, missed) in std::mem::take(&mut self.last) {
             let again = hands[..seen].iter().any(|hand| hand.region.overlap(&held.region) > SAME_REGION);
             if !again && missed < self.tuning.held {

@@ -127,6 +127,14 @@ impl Silhouettes {
         self.time
     }
 
+    /// Most hands that a finder saw in a frame beside the two that are tracked at most.
+    pub(super) fn further(&self) -> usize {
+        match &self.way {
+            Way::Sighted(sighted) => sighted.further(),
+            _ => 0,
+        }
+    }
+
     /// Takes a frame of any size, with its mask where masks are ready, and gives `next` those whose silhouettes are
     /// found: numbered as they came. The first ones wait until there are enough to learn from.
     pub(super) fn push<S: Seeker>(

@@ -204,6 +204,14 @@ pub(super) fn arrays(bytes: &[u8], limits: &Limits) -> Result<Found, String> {
     found.checked()
 }
 
+/// What a lone array says: joints.
+pub(super) fn array(bytes: &[u8], limits: &Limits) -> Result<Found, String> {
+    let array = npz::alone(bytes, limits)?;
+    let at = KNOWN.iter().position(|(_, name)| *name == Name::Joints).unwrap_or_default();
+    let fields = Fields { arrays: vec![(at, array)], side: None };
+    Ok(Found { rows: vec![(None, fields)], ..Found::default() })
+}
+
 impl Found {
     /// Whether rows say their times.
     pub(super) fn timed(&self) -> bool {
