@@ -34,7 +34,10 @@
 //!     let frame = frames.next();
 //!     let ended = frame.is_none();
 //!     // What the tracker still holds when the camera ends: all of a short clip.
-//!     let poses = frame.map_or_else(|| tracker.finish(), |frame| tracker.push(frame))?;
+//!     let poses = match frame {
+//!         Some(frame) => tracker.push(frame)?,
+//!         None => tracker.finish()?,
+//!     };
 //!     if let Some(last) = poses.last() {
 //!         for plane in encoder.push(last.time, &poses, &tracker.header(None))? {
 //!             socket.send(plane.bytes);

@@ -74,10 +74,11 @@ impl Windows {
             return Ok(windows);
         }
         let (resting, predicted) = resting(clip, options, kbit_per_s * 1000.0 / rate)?;
-        let mut moving = Running::default();
+        let mut rests = Running::default();
         for (span, lively) in windows.spans.iter().zip(&mut windows.lively) {
-            moving.move_to(span, |frame| f64::from(u8::from(!resting[frame])));
-            let share = moving.sum / (WINDOW * rate).round().max(1.0);
+            rests.move_to(span, |frame| f64::from(u8::from(resting[frame])));
+            // Ticks without a frame are no rest.
+            let share = 1.0 - rests.sum / (WINDOW * rate).round().max(1.0);
             // There may be no I plane in what moves of a window.
             *lively = if share < 1.0 { share * predicted.max(0.0) } else { 1.0 };
         }
