@@ -22,6 +22,22 @@ use serde_json::{Value, json};
 const SIZE: [f64; 2] = [1280.0, 720.0];
 const SIDES: [Side; 2] = [Side::Left, Side::Right];
 
+#[test]
+fn streams_whose_sizes_a_file_has_no_place_for_say_so() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = |name: &str| path(&folder.path().join(name)).to_owned();
+    write_poses(folder.path().join("poses.jsonl").as_path(), &clip(&[Side::Right])).unwrap();
+    done(&["encode", &file("poses.jsonl"), "-o", &file("s.fba")]);
+    for (name, said) in [("x.bap", true), ("x.csv", true), ("x.json", false)] {
+        let out = handcast(&["decode", &file("s.fba"), "-o", &file(name)]);
+        assert_eq!(
+            text(&out.stderr).contains("has no place for the person's sizes"),
+            said,
+            "{name}: {out:?}"
+        );
+    }
+}
+
 /// Of a mean hand, whose palm is cupped.
 #[test]
 fn import_and_encode_make_the_same_poses() {

@@ -7,7 +7,7 @@ use anyhow::Context;
 use handcast_codec::mapping::Profile;
 use handcast_codec::notices;
 use handcast_codec::{
-    Damage, DecodedStream, PoseDecoder, PoseDecoderOptions, decode_baps, decode_poses_within,
+    Damage, DecodedStream, PoseDecoder, PoseDecoderOptions, decode_baps, decode_poses_within, hands_of_record,
 };
 use handcast_fba::DecoderOptions;
 use handcast_fba::bap::text;
@@ -161,6 +161,9 @@ fn write_baps(args: &Args, bytes: &[u8], options: DecoderOptions) -> anyhow::Res
     tell_of_damage(&name, &decoded.damage, "values are");
     for notice in notices::of_stream(decoded.passed_over, decoded.streams, decoded.trailing) {
         errln!("handcast: {name}: {notice}");
+    }
+    if hands_of_record(&decoded.record).iter().any(|hand| hand.morphology.is_some()) && !args.quiet {
+        errln!("handcast: BAP text has no place for the person's sizes, which the stream carries");
     }
     let rows = decoded.frames.len();
     let frames = decoded.frames.iter().scan(0, |next, frame| {
