@@ -52,7 +52,6 @@ use std::process::ExitCode;
 
 use clap::{ArgMatches, CommandFactory as _, FromArgMatches as _, Parser, Subcommand};
 use handcast_eval::fidelity::FidelityError;
-use handcast_gltf::{GltfError, RigError};
 use handcast_track::pipeline::ClipError;
 
 /// MPEG-4 hand animation: a gesture made here moves a hand there.
@@ -153,7 +152,7 @@ pub fn main() -> ExitCode {
         Ok(code) => code,
         Err(error) => {
             let words = shortened(message(&error));
-            errln!("handcast: {words}{}{}", hint(&error), limit_hint(&words));
+            errln!("handcast: {words}{}{}", hint(&error), told_hint(&words));
             poses_out::tell_of_journal();
             ExitCode::from(if usage::is_usage(&error) { 2 } else { 1 })
         }
@@ -201,16 +200,7 @@ fn hint(error: &anyhow::Error) -> &'static str {
     let no_networks = |cause: &(dyn std::error::Error + 'static)| {
         matches!(cause.downcast_ref(), Some(handcast_net::Error::NotInstalled))
     };
-    let no_hand = |cause: &(dyn std::error::Error + 'static)| {
-        let rig = match cause.downcast_ref() {
-            Some(GltfError::Rig(rig)) => Some(rig),
-            _ => cause.downcast_ref::<RigError>(),
-        };
-        matches!(rig, Some(RigError::NoHand { .. }))
-    };
-    if error.chain().any(no_hand) {
-        "; --map FILE.toml gives one"
-    } else if error.chain().any(never_open) {
+    if error.chain().any(never_open) {
         "; sizes are given with --person FILE, made by `handcast fit`"
     } else if error.chain().any(no_networks) {
         "; they are given with --net FILE, and brought by `pip download --no-deps --only-binary=:all: \
@@ -220,9 +210,12 @@ fn hint(error: &anyhow::Error) -> &'static str {
     }
 }
 
-/// How far a limit that the message tells of may be raised.
-fn limit_hint(message: &str) -> String {
+/// The same against what the message tells: a limit that may be raised, joints whose names tell nothing.
+fn told_hint(message: &str) -> String {
     use handcast_limits::Limit;
+    if message.contains("; a joint map says which is which") {
+        return "; --map FILE.toml gives one".to_owned();
+    }
     let told = |limit: &Limit| message.contains(&format!(" {}, allowed at most ", limit.unit()));
     let flag = match Limit::ALL.into_iter().find(told) {
         Some(Limit::Bytes | Limit::PipedBytes) => "--max-bytes",
@@ -300,9 +293,9 @@ mod tests {
             (handcast_limits::Limit::Side, ""),
         ] {
             let excess = handcast_limits::DEFAULT.check(limit, 1e12).unwrap_err();
-            assert_eq!(limit_hint(&format!("x: {excess}")), flag);
+            assert_eq!(told_hint(&format!("x: {excess}")), flag);
         }
-        assert_eq!(limit_hint("no such file"), "");
+        assert_eq!(told_hint("no such file"), "");
     }
 
     #[test]

@@ -347,7 +347,8 @@ pub fn open_disc(mask: &Mask, radius: f64) -> Mask {
 fn within(mask: &Mask, to: bool, radius: f64) -> Mask {
     let (width, height) = (mask.width() as usize, mask.height() as usize);
     let mut out = Mask::new(mask.width(), mask.height());
-    let longest = (width + height) as f64;
+    // Less than what a column without such a pixel has, more than any distance.
+    let longest = (width + height - 1) as f64;
     let limit = radius.min(longest).powi(2).floor();
     // How far a pixel reaches along its row, by its distance to the nearest in its column.
     let reach = |g: u32| (limit - f64::from(g).powi(2)).sqrt() as usize;

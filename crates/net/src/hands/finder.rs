@@ -134,6 +134,8 @@ pub struct NetFinder {
     since: usize,
     /// Hands that there was no room for when they were looked for in the last picture.
     further: usize,
+    /// Those and the hands that were given.
+    all: Vec<Sighting>,
     /// The picture in which they were.
     scene: Scene,
 }
@@ -241,6 +243,7 @@ impl NetFinder {
             before: Vec::new(),
             since: 0,
             further: 0,
+            all: Vec::new(),
             scene: Scene::default(),
         })
     }
@@ -333,13 +336,15 @@ impl NetFinder {
             !hands.iter().any(own)
         });
         let room = self.options.hands.saturating_sub(hands.len());
-        let added = regions.iter().take(room).try_for_each(|(region, _)| self.add(picture, region, hands));
-        let mut all = hands.clone();
-        let others =
-            regions.iter().skip(room).try_for_each(|(region, _)| self.add(picture, region, &mut all));
+        let (taken, others) = regions.split_at(room.min(regions.len()));
+        let added = taken.iter().try_for_each(|(region, _)| self.add(picture, region, hands));
+        let mut all = std::mem::take(&mut self.all);
+        all.clone_from(hands);
+        let seen = others.iter().try_for_each(|(region, _)| self.add(picture, region, &mut all));
         self.further = all.len() - hands.len();
+        self.all = all;
         self.regions = regions;
-        added.and(others)
+        added.and(seen)
     }
 
     /// The hand a picture later: its joints are looked for, or it goes on.
