@@ -214,7 +214,7 @@ fn hint(error: &anyhow::Error) -> &'static str {
 fn told_hint(message: &str) -> String {
     use handcast_limits::Limit;
     if message.contains("; a joint map says which is which") {
-        return "; --map FILE.toml gives one".to_owned();
+        return "; `import`, `encode` and --mesh take one with --map FILE.toml".to_owned();
     }
     let told = |limit: &Limit| message.contains(&format!(" {}, allowed at most ", limit.unit()));
     let flag = match Limit::ALL.into_iter().find(told) {

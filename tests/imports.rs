@@ -115,6 +115,11 @@ fn lone_arrays_are_joints_at_the_rate_that_is_told() {
     std::fs::write(&array, npy("(10, 126)", &rows)).unwrap();
     let none = folder.path().join("none.jsonl");
     refused(&["import", path(&array), "-o", path(&none)], &none, &["10 × 126", "21 × 3", "42 × 3"]);
+    misused(
+        &["import", path(&array), "-o", path(&none), "--map", "joints.toml"],
+        &none,
+        &["--map without --mesh names joints of a .glb or .gltf"],
+    );
 }
 
 /// A frame as LeapJS has it of 21 joints in metres, the thumb first.

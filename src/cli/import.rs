@@ -220,15 +220,15 @@ fn told<'a>(
     format: Option<&Format>,
     bytes: impl FnOnce() -> anyhow::Result<Cow<'a, [u8]>>,
 ) -> anyhow::Result<Option<Input>> {
+    let map = args.out.glb.input_map()?;
+    if map.is_some() && format.is_none_or(|format| format.kind != "glb") {
+        refuse!("--map without --mesh names joints of a .glb or .gltf: {} is none", path.display());
+    }
     let Some(format) = format else { return Ok(None) };
     let both = format.id == "webxr";
     let solving = solving();
     if both && !solving.is_empty() || format.kind == "landmarks" && !both {
         return Ok(None);
-    }
-    let map = args.out.glb.input_map()?;
-    if map.is_some() && format.kind != "glb" {
-        refuse!("--map without --mesh names joints of a .glb or .gltf: {} is none", path.display());
     }
     let motion = match map {
         Some(map) => Motion::parse_mapped(path, &bytes()?, &map, limits())?,

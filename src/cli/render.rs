@@ -173,10 +173,14 @@ fn thin_out(instants: &mut Vec<Instant<'_>>, seconds: f64) {
     });
 }
 
-/// Puts an empty picture before a motion that begins late: until then no hand was seen.
+/// Latest beginning, seconds: later times are those of a clock, or of a longer clip.
+const LATEST: f64 = 10.0;
+
+/// Puts an empty picture before a motion that begins late, by more than a picture: until then no hand was seen.
 fn lead(moments: &mut Vec<Moment>) {
-    if let [first, _, ..] = moments.as_slice()
-        && first.time > 0.0
+    if let [first, second, ..] = moments.as_slice()
+        && first.time > second.time - first.time
+        && first.time <= LATEST
     {
         moments.insert(0, Moment { time: 0.0, hands: Vec::new() });
     }
@@ -347,7 +351,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let joints = |&(number, pose): &(usize, &HandPose)| Some((number, meshes.get(number)?.1.frames(pose)));
     let moment = |i: &Instant| Moment { time: i.time, hands: i.hands.iter().filter_map(joints).collect() };
     let mut moments: Vec<Moment> = chosen.iter().map(moment).collect();
-    if extension != "png" {
+    if extension != "png" && args.frames.is_none() {
         lead(&mut moments);
     }
     let surfaces: Vec<HandMesh> = meshes.iter().map(|(mesh, _)| mesh.clone()).collect();

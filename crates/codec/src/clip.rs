@@ -369,7 +369,7 @@ pub fn decode_poses_within(
     options: PoseDecoderOptions,
 ) -> Result<DecodedStream, StreamToPosesError> {
     let most = options.instants;
-    let mut decoder = PoseDecoder::new(options);
+    let mut decoder = PoseDecoder::new(options).keeping();
     let mut frames = decode_all(&mut decoder, bytes, most)?;
     if decoder.is_revised() {
         // Let go before as many are made again.

@@ -104,9 +104,11 @@ pub struct PoseDecoder {
     /// BAPs sent so far, by any stream, those known beforehand included; and what of them each stream has sent, by its
     /// number.
     sent: BapMask,
-    by_stream: Vec<BapMask>,
+    by_stream: Vec<(usize, BapMask)>,
+    /// Whether those of streams that have ended are kept.
+    keeps: bool,
     /// What each stream is known to send sooner or later, from decoding it before.
-    foreseen: Vec<BapMask>,
+    foreseen: Vec<(usize, BapMask)>,
     /// Number of the stream that is decoded, the BAPs that it is known to send, and those sent so far.
     stream: usize,
     known: BapMask,
@@ -190,6 +192,7 @@ impl PoseDecoder {
             decoder: Decoder::new(options.decoder),
             sent: BapMask::EMPTY,
             by_stream: Vec::new(),
+            keeps: false,
             foreseen: Vec::new(),
             stream: 0,
             known: BapMask::EMPTY,
@@ -215,9 +218,14 @@ impl PoseDecoder {
         decoder
     }
 
+    /// The same, to be asked for another one [`again`](Self::again).
+    pub(crate) fn keeping(self) -> Self {
+        Self { keeps: true, ..self }
+    }
+
     /// A decoder of a stream that another one has decoded: what that learnt of it holds from the first plane on.
     pub(crate) fn again(self) -> Self {
-        let mut decoder = Self::new(self.options);
+        let mut decoder = Self::new(self.options).keeping();
         decoder.foreseen = self.by_stream;
         decoder.foresee();
         decoder
@@ -481,8 +489,10 @@ impl PoseDecoder {
 
     /// Takes in what the stream is known to send sooner or later.
     fn foresee(&mut self) {
-        let foreseen = self.foreseen.get(self.stream).copied();
-        self.known = self.known.union(&foreseen.unwrap_or(BapMask::EMPTY));
+        let found = self.foreseen.binary_search_by_key(&self.stream, |(stream, _)| *stream);
+        if let Some((_, foreseen)) = found.ok().and_then(|place| self.foreseen.get(place)) {
+            self.known = self.known.union(foreseen);
+        }
         self.tell();
     }
 
@@ -495,10 +505,15 @@ impl PoseDecoder {
         let some = !self.seen.is_empty();
         self.seen = self.seen.union(&mask);
         self.sent = self.sent.union(&mask);
-        if self.by_stream.len() <= self.stream {
-            self.by_stream.resize(self.stream + 1, BapMask::EMPTY);
+        match self.by_stream.last_mut() {
+            Some((stream, seen)) if *stream == self.stream => *seen = self.seen,
+            _ => {
+                if !self.keeps {
+                    self.by_stream.clear();
+                }
+                self.by_stream.push((self.stream, self.seen));
+            }
         }
-        self.by_stream[self.stream] = self.seen;
         self.present = sides(&self.seen).collect();
         self.hands = sides(&self.sent).collect();
         let more = !mask.difference(&self.known).is_empty();

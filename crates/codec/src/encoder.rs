@@ -263,6 +263,10 @@ impl PoseEncoder {
             let before = self.last.iter().flatten().copied().reduce(f64::max);
             return Err(PosesToStreamError::Time { what: "pose", index, time: pose.time, before });
         }
+        if self.latest.is_some_and(|latest| tick - latest > handcast_fba::plan::MAX_GAP as f64) {
+            let allowed = "times at most 65535 ticks after that of the pose before";
+            return Err(EncodeError::Time { frame: index as u64, time: pose.time, allowed }.into());
+        }
         self.last[side as usize] = Some(pose.time);
         self.latest = Some(tick);
         let new = self.given[side as usize] || self.moment.as_ref().is_some_and(|(at, _)| *at != tick);

@@ -149,16 +149,27 @@ impl LivePoseEncoder {
         poses: &[TimedPose],
         known: &PoseHeader,
     ) -> Result<Vec<LivePlane>, PosesToStreamError> {
+        let before = self.last;
         self.check(time, poses)?;
         self.learn(known);
+        if let Err(error) = self.instants_of(time, poses) {
+            // A time that was not taken is none that others follow.
+            self.last = before;
+            return Err(error);
+        }
+        Ok(std::mem::take(&mut self.ready))
+    }
+
+    /// Makes the planes of all instants, the last of which is at `time`.
+    fn instants_of(&mut self, time: f64, poses: &[TimedPose]) -> Result<(), PosesToStreamError> {
         if poses.is_empty() {
-            self.instant(time, poses)?;
+            return self.instant(time, poses);
         }
         let last = poses.iter().map(|pose| pose.time).fold(f64::NEG_INFINITY, f64::max);
         for instant in poses.chunk_by(|a, b| (b.time - a.time).abs() < SAME_TIME) {
             self.instant(time - (last - instant[0].time), instant)?;
         }
-        Ok(std::mem::take(&mut self.ready))
+        Ok(())
     }
 
     /// That time goes on, from instant to instant and from pose to pose.
@@ -309,8 +320,8 @@ impl Current {
         bytes: &mut Vec<u8>,
     ) -> Result<(), PosesToStreamError> {
         let tick = ((time - self.start) * self.encoder.rate()).round() as u64;
-        let next = self.tick.map_or(0, |last| last + 1);
-        if next > tick + AHEAD {
+        let next = self.tick.map_or(0, |last| last.saturating_add(1));
+        if next > tick.saturating_add(AHEAD) {
             return Ok(());
         }
         let tick = next.max(tick);
@@ -462,6 +473,23 @@ mod tests {
         assert!(push(1.2, &back).unwrap_err().contains("a pose of instant 4 is 1.1 s"));
         assert!(push(1.3, &[pose(Side::Left, f64::NAN, 5.0)]).unwrap_err().contains("NaN"));
         push(1.3, &[pose(Side::Left, 1.3, 5.0)]).unwrap();
+    }
+
+    #[test]
+    fn a_time_too_far_ahead_binds_none_behind_it() {
+        let mut encoder = LivePoseEncoder::new(LivePoseEncoderOptions::default());
+        let mut push = |time: f64| encoder.push(time, &[pose(Side::Left, time, 5.0)], &PoseHeader::default());
+        push(1.0).unwrap();
+        for far in [9e3, 1e300] {
+            let said = push(far).unwrap_err().to_string();
+            assert!(said.contains("65535 ticks"), "{said}");
+            push(1.0 + 1e-3 * far.log10()).unwrap();
+        }
+        let options = PoseEncoderOptions::live(30.0).with_hands(&[Side::Left]);
+        let mut encoder = PoseEncoder::new(options).unwrap();
+        encoder.push(&pose(Side::Left, 0.0, 5.0)).unwrap();
+        encoder.push(&pose(Side::Left, 5e3, 5.0)).unwrap_err();
+        encoder.push(&pose(Side::Left, 0.1, 6.0)).unwrap();
     }
 
     #[test]

@@ -454,7 +454,8 @@ impl Decoder {
 
     /// The stream ends at the position.
     pub(super) fn end(&mut self) {
-        if self.stage == Stage::Seeking {
+        // Before the first plane nothing is damaged, but a stream joined late.
+        if self.stage == Stage::Seeking && self.planes > 0 {
             self.abandoned += self.stream_bit(self.position).saturating_sub(self.damage_bit).div_ceil(8);
         }
         self.stage = Stage::Ended;

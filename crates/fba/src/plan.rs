@@ -22,6 +22,7 @@ mod share;
 mod steering;
 mod windows;
 
+pub use clip::MAX_GAP;
 pub use encoder::{ClipEncoder, encode_clip};
 pub use live::LiveEncoder;
 pub use options::{Choices, Levels, PlanOptions, Target};

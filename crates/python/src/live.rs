@@ -33,25 +33,40 @@ pub struct LiveEncoder {
 struct Encoding {
     encoder: LivePoseEncoder,
     rate: f64,
-    /// Seconds of the last instant.
+    /// Seconds of the last instant, and of the last whose time was told.
     last: Option<f64>,
+    told: Option<f64>,
 }
 
 impl Encoding {
-    fn instant(&mut self, poses: &[TimedPose], time: Option<f64>) -> PyResult<f64> {
-        let latest = poses.last().map(|pose| pose.time);
-        let next = || self.last.map_or(0.0, |last| last + self.rate.recip());
-        let time = time.or(latest).unwrap_or_else(next);
-        if !time.is_finite() {
-            return Err(Error::new_err(format!("time is {time}, allowed finite seconds")));
-        }
-        if let Some(last) = self.last.filter(|last| time <= *last) {
-            return Err(Error::new_err(format!(
-                "time is {time} s, not after the {last} s of the push before"
-            )));
-        }
-        self.last = Some(time);
-        Ok(time)
+    /// The planes of an instant. Without poses and a time it is a frame behind the one before; before any there is nothing to
+    /// be coded. Times that are told must not go back behind others that were.
+    fn push(
+        &mut self,
+        poses: &[TimedPose],
+        time: Option<f64>,
+        known: &PoseHeader,
+    ) -> PyResult<Vec<LivePlane>> {
+        let told = time.or(poses.last().map(|pose| pose.time));
+        let time = match (told, self.last) {
+            (None, None) => return Ok(Vec::new()),
+            (None, Some(last)) => last + self.rate.recip(),
+            (Some(time), _) if !time.is_finite() => {
+                return Err(Error::new_err(format!("time is {time}, allowed finite seconds")));
+            }
+            (Some(time), last) => {
+                if let Some(told) = self.told.filter(|told| time <= *told) {
+                    return Err(Error::new_err(format!(
+                        "time is {time} s, not after the {told} s of the push before"
+                    )));
+                }
+                last.map_or(time, |last| time.max(last))
+            }
+        };
+        let planes = with_threads(|| self.encoder.push(time, poses, known));
+        let planes = planes.map_err(|error| Error::new_err(format!("poses at {time} s: {error}")))?;
+        (self.last, self.told) = (Some(time), told.or(self.told));
+        Ok(planes)
     }
 }
 
@@ -80,7 +95,7 @@ impl LiveEncoder {
         let mode: Target = if given.is_some() { aimed } else { own.plan.mode };
         let plan = PlanOptions { mode, intra_seconds: intra, ..own.plan };
         let encoder = LivePoseEncoder::new(own.with_rate(rate).with_plan(plan));
-        Ok(Self { state: Mutex::new(Encoding { encoder, rate, last: None }) })
+        Ok(Self { state: Mutex::new(Encoding { encoder, rate, last: None, told: None }) })
     }
 
     /// The bytes (whole planes, none while nothing moves) of an instant: poses as Tracker.push gives them, or Hands of arrays,
@@ -113,10 +128,7 @@ impl LiveEncoder {
         timed.sort_by(|a, b| a.time.total_cmp(&b.time));
         let made = py.detach(|| {
             let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
-            let time = state.instant(&timed, time)?;
-            let encoder = &mut state.encoder;
-            let planes = with_threads(|| encoder.push(time, &timed, &known));
-            planes.map(joined).map_err(|error| Error::new_err(format!("poses at {time} s: {error}")))
+            state.push(&timed, time, &known).map(joined)
         })?;
         Ok(PyBytes::new(py, &made))
     }

@@ -348,7 +348,7 @@ fn within(mask: &Mask, to: bool, radius: f64) -> Mask {
     let (width, height) = (mask.width() as usize, mask.height() as usize);
     let mut out = Mask::new(mask.width(), mask.height());
     // Less than what a column without such a pixel has, more than any distance.
-    let longest = (width + height - 1) as f64;
+    let longest = (width + height).saturating_sub(1) as f64;
     let limit = radius.min(longest).powi(2).floor();
     // How far a pixel reaches along its row, by its distance to the nearest in its column.
     let reach = |g: u32| (limit - f64::from(g).powi(2)).sqrt() as usize;
@@ -468,6 +468,11 @@ mod tests {
             let near = map.select(|d| d != FAR && f64::from(d) <= radius * radius);
             prop_assert_eq!(within(&mask, to, radius), near);
         }
+    }
+
+    #[test]
+    fn nothing_is_opened_to_nothing() {
+        assert_eq!(open_disc(&Mask::new(0, 0), f64::INFINITY), Mask::new(0, 0));
     }
 
     #[test]

@@ -21,7 +21,7 @@ pub(super) struct Ticker {
 }
 
 /// Ticks between two frames, at most: what a decoder accepts as skipped frames.
-const MAX_GAP: u64 = 65_535;
+pub const MAX_GAP: u64 = 65_535;
 
 impl Ticker {
     pub fn new(rate: FrameRate) -> Self {

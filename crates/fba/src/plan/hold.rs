@@ -171,8 +171,9 @@ pub(super) fn held(clip: &Clip, options: &PlanOptions, kbit_per_s: f64) -> Resul
     if options.choices.lasting_ranges && windows.judge(&best.report.frame_bits).missed > 0 {
         // What each period costs is better known where its ranges serve no other.
         let choices = Choices { lasting_ranges: false, ..options.choices };
-        let other = planned(clip, &PlanOptions { choices, ..*options }, &windows, kbit_per_s)?;
-        if better(&windows, &other.report, &best.report) {
+        if let Ok(other) = planned(clip, &PlanOptions { choices, ..*options }, &windows, kbit_per_s)
+            && better(&windows, &other.report, &best.report)
+        {
             best = other;
         }
     }

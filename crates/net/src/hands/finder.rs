@@ -19,6 +19,8 @@ const SIDE: usize = 224;
 const SAME_PALM: f64 = 0.15;
 
 /// Joints that are nearer to each other than this share of the region's side, on average, are of the same hand: a
+/// Most further hands that are counted in a picture.
+const MOST_FURTHER: usize = 4;
 /// seventh of the hand's length, where neighbouring fingers are an eighth apart.
 const SAME_JOINTS: f64 = 0.1;
 
@@ -340,7 +342,10 @@ impl NetFinder {
         let added = taken.iter().try_for_each(|(region, _)| self.add(picture, region, hands));
         let mut all = std::mem::take(&mut self.all);
         all.clone_from(hands);
-        let seen = others.iter().try_for_each(|(region, _)| self.add(picture, region, &mut all));
+        // Where there is room, whoever is left was not looked for.
+        let looked_for = if hands.len() < self.options.hands { 0 } else { MOST_FURTHER };
+        let seen =
+            others.iter().take(looked_for).try_for_each(|(region, _)| self.add(picture, region, &mut all));
         self.further = all.len() - hands.len();
         self.all = all;
         self.regions = regions;
