@@ -220,8 +220,8 @@ fn told<'a>(
     format: Option<&Format>,
     bytes: impl FnOnce() -> anyhow::Result<Cow<'a, [u8]>>,
 ) -> anyhow::Result<Option<Input>> {
-    let map = args.out.glb.input_map()?;
-    if map.is_some() && format.is_none_or(|format| format.kind != "glb") {
+    let glb = &args.out.glb;
+    if glb.map.is_some() && glb.mesh.is_none() && format.is_none_or(|format| format.kind != "glb") {
         refuse!("--map without --mesh names joints of a .glb or .gltf: {} is none", path.display());
     }
     let Some(format) = format else { return Ok(None) };
@@ -230,7 +230,7 @@ fn told<'a>(
     if both && !solving.is_empty() || format.kind == "landmarks" && !both {
         return Ok(None);
     }
-    let motion = match map {
+    let motion = match glb.input_map()? {
         Some(map) => Motion::parse_mapped(path, &bytes()?, &map, limits())?,
         None => match Content::parse_within(path, &bytes()?, limits())? {
             Content::Poses(motion) => *motion,
