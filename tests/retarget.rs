@@ -267,6 +267,133 @@ fn scales_that_keep_still_are_taken_and_others_refused() {
 }
 
 #[test]
+fn joints_scaled_by_nothing_are_refused_in_words() {
+    let clip = clip(&[Side::Right], 5);
+    let ours = export(&clip, &ExportOptions::default()).unwrap();
+    let scaled = |scale: f32| with_track(&ours, &[0], "scale", &[0.0], &[&[scale; 3]]);
+    let message = import_poses(&scaled(0.0)).unwrap_err().to_string();
+    assert!(message.contains("node 0 (\"wrist\") is scaled by amounts that are not equal"), "{message}");
+    assert!(worst(&clip, &import_poses(&scaled(1.0)).unwrap()) < 1e-3);
+    // A tip carries nothing.
+    let theirs = stripped(&put(&clip, &own_rig(&[Side::Right], JointNames::Mixamo)).glb);
+    for glb in [&ours, &theirs] {
+        let tip = with_track(glb, &[Joint::IndexTip.index()], "scale", &[0.0], &[&[1.0, 0.0, 2.0]]);
+        assert!(worst(&clip, &import_poses(&tip).unwrap()) < 1e-3);
+    }
+}
+
+/// Each a little above nothing, together nothing that numbers tell.
+#[test]
+fn scales_within_one_another_that_vanish_are_refused() {
+    let clip = clip(&[Side::Right], 5);
+    let within = |glb: &[u8], scale: f64, count: usize| {
+        let mut top = 0;
+        let glb = changed(glb, |json| {
+            for _ in 0..count {
+                top = put_above(json, &[top], json!({ "scale": vec![scale; 3] }));
+            }
+        });
+        (glb, top)
+    };
+    let rig = own_rig(&[Side::Right], JointNames::Mixamo);
+    let message = wrong(&within(&rig, 0.0, 40).0, None);
+    assert!(message.contains("is scaled by less than 1e-30 in all"), "{message}");
+    let theirs = stripped(&put(&clip, &rig).glb);
+    assert!(import_poses(&within(&theirs, 0.0, 40).0).unwrap_err().to_string().contains("less than 1e-30"));
+    let (moved, top) = within(&theirs, 1.0, 5);
+    let nodes: Vec<usize> = (top - 4..=top).collect();
+    let moved = with_track(&moved, &nodes, "scale", &[0.0], &[&[1e-8; 3]]);
+    assert!(import_poses(&moved).unwrap_err().to_string().contains("less than 1e-30"));
+}
+
+#[test]
+fn channels_are_one_for_each_way_to_move_and_their_keys_are_counted() {
+    let clip = clip(&[Side::Left, Side::Right], 5);
+    let theirs = stripped(&put(&clip, &own_rig(&[Side::Left, Side::Right], JointNames::Mixamo)).glb);
+    let joints: Vec<usize> = (0..52).collect();
+    let times: Vec<f32> = (0..3000).map(|k| k as f32 / 100.0).collect();
+    let rows = vec![&[1.0f32; 3][..]; times.len()];
+    let scaled = with_track(&theirs, &joints, "scale", &times, &rows);
+    let options = |instants: u64| {
+        let mut options = ImportOptions::default();
+        options.limits = options.limits.with_instants(instants);
+        options
+    };
+    assert!(import(&scaled, &options(3010)).is_ok());
+    let wrists = moved_nodes(&theirs, "translation");
+    let others: Vec<usize> = (0..52).filter(|node| !wrists.contains(&(*node as u64))).collect();
+    let both = with_track(&scaled, &others, "translation", &times, &rows);
+    import(&both, &options(110_000)).unwrap();
+    let message = import(&both, &options(3010)).unwrap_err().to_string();
+    assert!(message.contains("keys in the channels of an animation, allowed at most"), "{message}");
+    let twice = with_track(&scaled, &[3], "scale", &[0.0], &[&[1.0; 3]]);
+    let message = import_poses(&twice).unwrap_err().to_string();
+    assert!(message.contains("two channels scale node 3, allowed is one"), "{message}");
+}
+
+#[test]
+fn the_animation_that_turns_a_hand_is_read() {
+    let clip = clip(&[Side::Right], 5);
+    let theirs = stripped(&put(&clip, &own_rig(&[Side::Right], JointNames::Mixamo)).glb);
+    for path in ["translation", "weights"] {
+        let with = changed(&with_track(&theirs, &[0], path, &[0.0], &[&[0.0; 3]]), |json| {
+            let animation = json["animations"][0].clone();
+            let (channels, samplers) = (&animation["channels"], &animation["samplers"]);
+            let last = |list: &Value| list.as_array().unwrap().last().unwrap().clone();
+            let (mut channel, sampler) = (last(channels), last(samplers));
+            channel["sampler"] = 0.into();
+            json["animations"][0]["channels"].as_array_mut().unwrap().pop();
+            json["animations"]
+                .as_array_mut()
+                .unwrap()
+                .insert(0, json!({ "name": "x".repeat(99), "channels": [channel], "samplers": [sampler] }));
+        });
+        let found = read(&with);
+        assert!(worst(&clip, &found.hands) < 1e-3, "{path}");
+        assert!(found.notes.iter().any(|note| note.contains("animation 2 of 2")), "{:?}", found.notes);
+    }
+}
+
+/// Of two hands of ours another program has renamed a joint.
+#[test]
+fn a_hand_that_was_changed_is_not_left_out_without_a_word() {
+    let clip = clip(&[Side::Left, Side::Right], 5);
+    let ours = export(&clip, &ExportOptions::default()).unwrap();
+    let renamed = |from: Joint, to: &str| {
+        let from = JointNames::default().name(from, Side::Left, 2);
+        changed(&ours, |json| rename(json, |name| if name == from { to.into() } else { name.into() }))
+    };
+    let found = import(&renamed(Joint::IndexTip, "fingertip"), &ImportOptions::default()).unwrap();
+    assert!(found.hands.len() == 2 && worst(&clip, &found.hands) < 1e-3);
+    let found = import(&renamed(Joint::IndexProximal, "knuckle"), &ImportOptions::default()).unwrap();
+    assert_eq!(found.hands.len(), 1);
+    let told = found.notes.iter().any(|note| note.contains("left hand: no joint is the index-finger"));
+    assert!(told, "{:?}", found.notes);
+}
+
+/// Meshes matter to poses only for what is visible.
+#[test]
+fn meshes_that_lie_beyond_the_file_are_passed_over() {
+    let clip = clip(&[Side::Right], 5);
+    let theirs = stripped(&put(&clip, &own_rig(&[Side::Right], JointNames::Mixamo)).glb);
+    for (list, field, number) in [
+        ("accessors", "count", 1u64 << 62),
+        ("accessors", "byteOffset", u64::MAX - 8),
+        ("bufferViews", "byteOffset", u64::MAX - 8),
+    ] {
+        let damaged = changed(&theirs, |json| {
+            let mut at = json["meshes"][0]["primitives"][0]["attributes"]["WEIGHTS_0"].as_u64().unwrap();
+            if list == "bufferViews" {
+                at = json["accessors"][at as usize]["bufferView"].as_u64().unwrap();
+            }
+            json[list][at as usize][field] = number.into();
+        });
+        let read = import_poses(&damaged);
+        assert!(worst(&clip, &read.unwrap()) < 1e-3, "{list} {field}");
+    }
+}
+
+#[test]
 fn a_camera_goes_along_with_a_body_that_walks() {
     let clip = clip(&[Side::Left, Side::Right], 26);
     let upright = body(UnitQuaternion::identity());

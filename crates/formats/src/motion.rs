@@ -273,7 +273,8 @@ impl From<Motion> for Content {
 }
 
 impl Content {
-    /// Reads the content of a file of any format, as [`Motion::parse_within`] does, without solving.
+    /// Reads the content of a file of any format, as [`Motion::parse_within`] does, files beside a `.gltf` included,
+    /// without solving.
     ///
     /// # Errors
     /// See [`MotionError`].
@@ -295,7 +296,8 @@ impl Content {
         })?;
         let read = || {
             limits.check_count(Limit::Bytes, bytes.len())?;
-            let bytes = if *format == glb::DOCUMENT { glb::with_files(path, bytes)? } else { bytes.into() };
+            let bytes =
+                if *format == glb::DOCUMENT { glb::with_files(path, bytes, limits)? } else { bytes.into() };
             Ok(match (format.read)(&bytes, limits)? {
                 Self::Poses(motion) => motion.sound(limits)?.into(),
                 joints => joints,
@@ -333,7 +335,8 @@ impl Motion {
     }
 
     /// Reads the content of a file of any format, without a byte order mark. `path` names it in messages, and tells what
-    /// it is where the content does not.
+    /// it is where the content does not. Files that a `.gltf` refers to are opened in the folder of `path` or below: for bytes
+    /// of strangers its folder is to hold nothing else, or not to be there.
     ///
     /// # Errors
     /// See [`MotionError`].
@@ -341,7 +344,7 @@ impl Motion {
         Self::parse_within(path, bytes, &Limits::default())
     }
 
-    /// As [`Motion::parse`], within other limits.
+    /// As [`Motion::parse`], files beside a `.gltf` included, within other limits.
     ///
     /// # Errors
     /// See [`MotionError`].

@@ -138,16 +138,26 @@ fn own(source: &Source, facts: &Facts, limits: &Limits) -> Result<Option<FoundPo
             hands.push((side, turns, nodes));
         }
     }
-    if hands.is_empty() {
+    // A hand that another program has changed is not left out without a word.
+    let lost = document
+        .nodes()
+        .filter_map(|node| side_of(&node))
+        .any(|side| hands.iter().all(|hand| hand.0 != side));
+    if hands.is_empty() || lost {
         return Ok(None);
     }
     let nodes: BTreeSet<usize> =
         hands.iter().flat_map(|(.., nodes)| nodes).map(::gltf::Node::index).collect();
-    let (animation, note) = moving(document, &nodes)?;
+    let (animation, note) = moving(document, &nodes, &nodes)?;
     let mut found = FoundPoses { hands: Vec::new(), placed: true, rate: None, notes: Vec::from_iter(note) };
     for (side, turns, nodes) in hands {
         let numbers: Vec<_> = nodes.iter().map(::gltf::Node::index).collect();
         let tracks = read_tracks(&animation, &source.bytes, &numbers, limits)?;
+        for (node, track) in nodes.iter().zip(&tracks.nodes) {
+            if node.children().any(|below| numbers.contains(&below.index())) {
+                track.check_scales(node.index(), node.name().unwrap_or_default())?;
+            }
+        }
         let rest: Vec<Similarity3<f64>> = nodes.iter().map(at_rest).collect();
         let mut reader = PosesFromTurns::new(side);
         let pose = |&time: &f64| {

@@ -32,7 +32,7 @@ use self::hand::RigHand;
 pub(super) use self::moved::{FoundPoses, MovedRig, RIG_NODES};
 use super::animation::{Channels, moves};
 use super::export::{check_clip, facts, generator};
-use super::names::meaning;
+use super::names::{meaning, quoted};
 use super::writer::{Writer, glb};
 use super::{Clip, ExportOptions, GltfError, HandTrack};
 use handcast_hand::{Joint, JointAngle, Side, Skeleton};
@@ -208,8 +208,8 @@ fn notes(document: &RigDocument, hands: &[&RigHand], found: Vec<String>) -> Vec<
     match held.as_slice() {
         [] => {}
         [(side, arm)] => {
-            let arm = &document.names[*arm];
-            notes.push(format!("the {side} wrist only turns, since it hangs on an arm ({arm:.40?})"));
+            let arm = quoted(&document.names[*arm]);
+            notes.push(format!("the {side} wrist only turns, since it hangs on an arm ({arm})"));
         }
         _ => notes.push("both wrists only turn, since they hang on arms".into()),
     }

@@ -5,7 +5,7 @@ use std::fmt;
 use gltf_json::Root;
 use gltf_json::mesh::Semantic;
 use gltf_json::validation::Checked;
-use serde::de::{Deserialize, Deserializer, IgnoredAny, SeqAccess, Visitor};
+use serde::de::{Deserialize, Deserializer, IgnoredAny, MapAccess, SeqAccess, Visitor};
 
 use super::GltfError;
 use handcast_limits::{Limit, Limits};
@@ -23,6 +23,10 @@ pub(super) fn root(text: &[u8], limits: &Limits) -> Result<Root, GltfError> {
     if length > MAX_TEXT {
         let what = format!("{length} bytes of JSON, allowed at most {MAX_TEXT}");
         return Err(GltfError::Unsupported { what });
+    }
+    // Those of its types take lists for objects.
+    if !text.trim_ascii_start().starts_with(b"{") {
+        return Err(GltfError::Unsupported { what: "invalid glTF: its JSON is no object".into() });
     }
     let syntax = |e| GltfError::Syntax(Box::new(::gltf::Error::Deserialize(e)));
     // A list of empty parts takes a hundred times its text.
@@ -104,6 +108,8 @@ pub(super) fn refused(error: ::gltf::Error) -> GltfError {
 #[serde(default)]
 #[derive(Default)]
 struct Counts {
+    #[serde(rename = "asset")]
+    _asset: Option<Part>,
     accessors: Count,
     animations: Count,
     buffers: Count,
@@ -161,10 +167,34 @@ impl<'de> Visitor<'de> for Counter {
 
     fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<Count, A::Error> {
         let mut count = 0;
-        while list.next_element::<IgnoredAny>()?.is_some() {
+        while list.next_element::<Part>()?.is_some() {
             count += 1;
         }
         Ok(Count(count))
+    }
+}
+
+/// An object: a list in its place would be taken for one.
+struct Part;
+
+impl<'de> Deserialize<'de> for Part {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        deserializer.deserialize_map(Parts)
+    }
+}
+
+struct Parts;
+
+impl<'de> Visitor<'de> for Parts {
+    type Value = Part;
+
+    fn expecting(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        f.write_str("an object")
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Part, A::Error> {
+        while map.next_entry::<IgnoredAny, IgnoredAny>()?.is_some() {}
+        Ok(Part)
     }
 }
 
@@ -211,7 +241,9 @@ mod tests {
             ),
             (file("\"meshes\":[{\"primitives\":[{\"attributes\":{\"POSITION\":7}}]}]"), "accessor 7 of 0"),
             (file("\"scenes\":[{\"nodes\":[1,2,3,4,5]}]"), "and 4 more"),
-            ("[]".to_owned(), "invalid"),
+            ("[]".to_owned(), "its JSON is no object"),
+            ("{\"asset\":[null,null,null,null,null,\"2.0\"]}".to_owned(), "expected an object"),
+            (file("\"bufferViews\":[[0,4]]"), "expected an object"),
         ] {
             let found = message(&text);
             assert!(found.contains(words) && found.is_empty() == words.is_empty(), "{text}: {found:?}");

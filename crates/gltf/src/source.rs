@@ -51,9 +51,11 @@ impl<'a> Source<'a> {
 /// A .gltf file as a GLB with the buffers that it refers to in `folder`; as it is where it refers to none.
 ///
 /// # Errors
-/// [`GltfError::Syntax`], [`GltfError::Rig`] for buffers that are missing.
-pub fn with_buffers<'a>(file: &'a [u8], folder: &Path) -> Result<Cow<'a, [u8]>, GltfError> {
+/// [`GltfError::Syntax`], [`GltfError::Unsupported`], [`GltfError::Excess`], [`GltfError::Rig`] for buffers that are missing.
+pub fn with_buffers<'a>(file: &'a [u8], folder: &Path, limits: &Limits) -> Result<Cow<'a, [u8]>, GltfError> {
     let (text, chunk) = split(file)?;
+    // Values take many times their text.
+    root(text, limits)?;
     let mut json: Value = serde_json::from_slice(text)
         .map_err(|e| GltfError::Syntax(Box::new(::gltf::Error::Deserialize(e))))?;
     let lies_beside = |buffer: &Value| buffer["uri"].as_str().is_some_and(|uri| !uri.starts_with("data:"));
@@ -66,15 +68,19 @@ pub fn with_buffers<'a>(file: &'a [u8], folder: &Path) -> Result<Cow<'a, [u8]>, 
     Ok(glb(serde_json::to_vec(&json)?, &bytes)?.into())
 }
 
-/// A GLB as a .gltf file: one document of JSON, with its binary chunk in a `data:` URI.
+/// A GLB as a .gltf file: one document of JSON, with its binary chunk in a `data:` URI of its first buffer. A .gltf file stays
+/// what it is, and so does a document without buffers.
 ///
 /// # Errors
-/// [`GltfError::Unsupported`] for what is no GLB, [`GltfError::Json`].
+/// [`GltfError::Unsupported`] for what is neither, [`GltfError::Json`] for a document that is no JSON.
 pub fn as_document(file: &[u8]) -> Result<Vec<u8>, GltfError> {
     let (text, chunk) = split(file)?;
     let mut json: Value = serde_json::from_slice(text)?;
-    if let (Some(buffer), Some(chunk)) = (json["buffers"].get_mut(0), chunk) {
-        buffer["uri"] = format!("data:application/octet-stream;base64,{}", base64(chunk)).into();
+    let buffer =
+        json.get_mut("buffers").and_then(|buffers| buffers.get_mut(0)).and_then(Value::as_object_mut);
+    if let (Some(buffer), Some(chunk)) = (buffer, chunk) {
+        let uri = format!("data:application/octet-stream;base64,{}", base64(chunk));
+        buffer.insert("uri".into(), uri.into());
     }
     Ok(serde_json::to_vec(&json)?)
 }
@@ -102,5 +108,21 @@ mod tests {
         for (bytes, text) in [(&b""[..], ""), (b"f", "Zg=="), (b"fo", "Zm8="), (b"foobar", "Zm9vYmFy")] {
             assert_eq!(base64(bytes), text);
         }
+    }
+
+    #[test]
+    fn documents_without_buffers_stay_what_they_are() {
+        for text in ["[]", "{}", "{\"buffers\":{}}", "{\"buffers\":[1]}", "null"] {
+            let file = glb(text.into(), &[0; 4]).unwrap();
+            assert_eq!(as_document(&file).unwrap(), text.as_bytes());
+        }
+    }
+
+    #[test]
+    fn a_document_is_checked_before_values_are_made_of_it() {
+        let text = format!("{{\"asset\":{{\"version\":\"2.0\"}},\"nodes\":[{}{{}}]}}", "{},".repeat(100));
+        let limits = Limits::default().with_nodes(100);
+        let message = with_buffers(text.as_bytes(), Path::new("."), &limits).unwrap_err().to_string();
+        assert!(message.contains("101 nodes, allowed at most 100"), "{message}");
     }
 }

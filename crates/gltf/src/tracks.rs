@@ -1,6 +1,7 @@
 //! How nodes move: the channels of an animation of any program.
 
 use std::collections::{BTreeSet, HashMap};
+use std::rc::Rc;
 
 use ::gltf::accessor::{Accessor, DataType, Dimensions};
 use ::gltf::animation::util::ReadOutputs;
@@ -9,6 +10,7 @@ use nalgebra::{Quaternion, Similarity3, Translation3, UnitQuaternion, Vector3, V
 
 use super::GltfError;
 use super::keys::Key;
+use super::names::quoted;
 use handcast_limits::{Limit, Limits};
 
 /// Between two keys.
@@ -29,14 +31,15 @@ const EARLY: [f64; 2] = [1e-6, 2e-7];
 /// A value over time, held before the first and after the last key.
 #[derive(Clone, Debug)]
 struct Curve<K> {
-    times: Vec<f64>,
+    /// Those of its accessor, which curves share.
+    times: Rc<[f64]>,
     keys: Vec<K>,
     way: Way,
 }
 
 impl<K> Default for Curve<K> {
     fn default() -> Self {
-        Self { times: Vec::new(), keys: Vec::new(), way: Way::default() }
+        Self { times: Rc::default(), keys: Vec::new(), way: Way::default() }
     }
 }
 
@@ -90,26 +93,37 @@ impl NodeTrack {
         self.turns.at(time)
     }
 
-    /// Where the node is against the one above it; what no channel tells is as at rest.
+    /// Where the node is against the one above it; what no channel tells is as at rest, and so is a scaling that a spline takes
+    /// to 0 or below between keys.
     pub(super) fn at(&self, rest: &Similarity3<f64>, time: f64) -> Similarity3<f64> {
         let turn = self.turn_at(time).unwrap_or(rest.isometry.rotation);
         let shift = self.shifts.at(time).unwrap_or(rest.isometry.translation.vector);
-        let scale = self.scales.at(time).map_or(rest.scaling(), |scale| scale.mean());
+        let scale = self.scales.at(time).map(|scale| scale.mean()).filter(|mean| *mean > LEAST_SCALE);
+        let scale = scale.unwrap_or_else(|| rest.scaling());
         Similarity3::from_parts(Translation3::from(shift), turn, scale)
     }
 
-    /// Whether a key scales the node, along its axes by what is not equal and positive.
-    pub(super) fn shears(&self) -> bool {
-        self.scales.keys.iter().any(|scale| !is_even(scale))
+    /// Refuses keys that scale the node along its axes by what is not equal and positive: what is below would be sheared.
+    ///
+    /// # Errors
+    /// [`GltfError::Unsupported`].
+    pub(super) fn check_scales(&self, node: usize, name: &str) -> Result<(), GltfError> {
+        if self.scales.keys.iter().all(is_even) {
+            return Ok(());
+        }
+        let name = quoted(name);
+        Err(unsupported(format!("node {node} ({name}) is scaled by amounts that are not equal and positive")))
     }
 }
 
 /// How far a node's scales along its axes may differ.
 const UNEVEN: f64 = 1e-3;
+/// Scales that are not above this are none.
+const LEAST_SCALE: f64 = 1e-9;
 
 /// Whether scales along the three axes are equal and positive.
 pub(super) fn is_even(scale: &Vector3<f64>) -> bool {
-    (scale.max() - scale.min()).abs() <= UNEVEN * scale.max() && scale.min() > 1e-9
+    (scale.max() - scale.min()).abs() <= UNEVEN * scale.max() && scale.min() > LEAST_SCALE
 }
 
 /// How some nodes move.
@@ -122,15 +136,26 @@ pub(super) struct Tracks {
     straight: bool,
 }
 
-/// The animation that is read, and what is worth saying of the choice: the first that moves one of these nodes.
+/// The animation that is read, and what is worth saying of the choice: the first that turns one of the hands' `own` nodes, or
+/// else that moves one of `nodes`.
 pub(super) fn moving<'a>(
     document: &'a ::gltf::Document,
+    own: &BTreeSet<usize>,
     nodes: &BTreeSet<usize>,
 ) -> Result<(Animation<'a>, Option<String>), GltfError> {
     let count = document.animations().len();
-    let moves =
-        |animation: &Animation| animation.channels().any(|c| nodes.contains(&c.target().node().index()));
-    let Some(animation) = document.animations().find(moves) else {
+    let turns = |channel: Channel| {
+        let target = channel.target();
+        target.property() == Property::Rotation && own.contains(&target.node().index())
+    };
+    // Weights of morph targets move no joint.
+    let moves = |channel: Channel| {
+        let target = channel.target();
+        target.property() != Property::MorphTargetWeights && nodes.contains(&target.node().index())
+    };
+    let first = document.animations().find(|animation| animation.channels().any(turns));
+    let first = first.or_else(|| document.animations().find(|animation| animation.channels().any(moves)));
+    let Some(animation) = first else {
         let what = match count {
             0 => "no animation".to_owned(),
             count => format!("none of the animations, of which there are {count}, moves a hand"),
@@ -138,11 +163,15 @@ pub(super) fn moving<'a>(
         return Err(GltfError::Unsupported { what });
     };
     let number = animation.index() + 1;
-    let name = animation.name().map_or_else(String::new, |name| format!(", {name:.40?}"));
+    let name = animation.name().map_or_else(String::new, |name| format!(", {}", quoted(name)));
     let note = (count > 1)
         .then(|| format!("animation {number} of {count}{name}, is read: the first that moves a hand"));
     Ok((animation, note))
 }
+
+/// Keys of all channels together, for each instant that is allowed; and bytes of a file that tell of one more.
+const KEYS_PER_INSTANT: u64 = 50;
+const BYTES_PER_KEY: u64 = 4;
 
 /// How an animation moves each of `nodes`.
 pub(super) fn read_tracks(
@@ -154,22 +183,45 @@ pub(super) fn read_tracks(
     let place: HashMap<usize, usize> = nodes.iter().enumerate().map(|(i, n)| (*n, i)).collect();
     let mut out =
         Tracks { nodes: vec![NodeTrack::default(); nodes.len()], times: Vec::new(), straight: true };
+    // Channels may share their accessors, and accessors their bytes.
+    let most = limits.instants.saturating_mul(KEYS_PER_INSTANT).max(blob.len() as u64 / BYTES_PER_KEY);
+    let (mut keys, mut times) = (0u64, HashMap::new());
     for channel in animation.channels() {
-        let Some(track) = place.get(&channel.target().node().index()).and_then(|&i| out.nodes.get_mut(i))
-        else {
+        let (node, path) = (channel.target().node().index(), channel.target().property());
+        let Some(track) = place.get(&node).and_then(|&i| out.nodes.get_mut(i)) else { continue };
+        if path == Property::MorphTargetWeights {
             continue;
+        }
+        let (what, known) = match path {
+            Property::Rotation => ("turn", &track.turns.times),
+            Property::Scale => ("scale", &track.scales.times),
+            _ => ("shift", &track.shifts.times),
         };
-        // Weights of morph targets move no joint.
-        if channel.target().property() == Property::MorphTargetWeights {
-            continue;
+        if !known.is_empty() {
+            return Err(unsupported(format!("two channels {what} node {node}, allowed is one")));
         }
         limits.check_count(
             Limit::Instants,
             channel.sampler().input().count().max(channel.sampler().output().count() / 3),
         )?;
-        read_channel(&channel, blob, track)?;
+        keys = keys.saturating_add(channel.sampler().output().count() as u64);
+        if keys > most {
+            let what = format!("{keys} keys in the channels of an animation, allowed at most {most}");
+            return Err(unsupported(what));
+        }
+        check_channel(&channel, blob.len())?;
         out.straight &= channel.sampler().interpolation() == Interpolation::Linear;
-        out.times.extend(read_times(&channel, blob)?);
+        let input = channel.sampler().input().index();
+        let known = match times.get(&input) {
+            Some(known) => Rc::clone(known),
+            None => {
+                let read = read_times(&channel, blob)?;
+                out.times.extend(&*read);
+                times.insert(input, Rc::clone(&read));
+                read
+            }
+        };
+        read_channel(&channel, known, blob, track)?;
         // Tracks share most of their times: what is twice does not pile up.
         if out.times.len() as u64 > limits.instants.saturating_mul(2) {
             tidy(&mut out.times);
@@ -232,8 +284,8 @@ fn reader<'a, 's>(
 }
 
 /// The times of the keys of a channel that was checked.
-fn read_times(channel: &Channel, blob: &[u8]) -> Result<Vec<f64>, GltfError> {
-    let times: Vec<f64> = reader(channel, blob).read_inputs().ok_or_else(short)?.map(seconds).collect();
+fn read_times(channel: &Channel, blob: &[u8]) -> Result<Rc<[f64]>, GltfError> {
+    let times: Rc<[f64]> = reader(channel, blob).read_inputs().ok_or_else(short)?.map(seconds).collect();
     if !times.is_sorted() || times.iter().any(|t| !t.is_finite()) {
         return Err(unsupported("key times that do not increase"));
     }
@@ -245,14 +297,22 @@ fn seconds(time: f32) -> f64 {
     time.to_string().parse().unwrap_or_else(|_| f64::from(time))
 }
 
-fn read_channel(channel: &Channel, blob: &[u8], track: &mut NodeTrack) -> Result<(), GltfError> {
+/// Refuses keys of another shape, and those that do not lie within so many bytes.
+fn check_channel(channel: &Channel, length: usize) -> Result<(), GltfError> {
     check_keys(channel)?;
     let sampler = channel.sampler();
-    if ![sampler.input(), sampler.output()].iter().all(|keys| lies_within(keys, blob.len())) {
-        return Err(short());
-    }
-    let times = read_times(channel, blob)?;
-    let way = sampler.interpolation();
+    let within = [sampler.input(), sampler.output()].iter().all(|keys| lies_within(keys, length));
+    if within { Ok(()) } else { Err(short()) }
+}
+
+/// The keys of a channel that was checked, at these times.
+fn read_channel(
+    channel: &Channel,
+    times: Rc<[f64]>,
+    blob: &[u8],
+    track: &mut NodeTrack,
+) -> Result<(), GltfError> {
+    let way = channel.sampler().interpolation();
     let reader = reader(channel, blob);
     match reader.read_outputs().ok_or_else(short)? {
         ReadOutputs::Rotations(values) => {
@@ -279,7 +339,7 @@ fn read_channel(channel: &Channel, blob: &[u8], track: &mut NodeTrack) -> Result
 }
 
 fn curve<K>(
-    times: Vec<f64>,
+    times: Rc<[f64]>,
     rows: Vec<Vector4<f64>>,
     way: Interpolation,
     key: impl Fn(Vector4<f64>) -> Result<K, GltfError>,
@@ -357,7 +417,7 @@ mod tests {
     use super::*;
 
     fn along(way: Way) -> Curve<Vector3<f64>> {
-        Curve { times: vec![1.0, 2.0], keys: vec![Vector3::zeros(), Vector3::x()], way }
+        Curve { times: [1.0, 2.0].into(), keys: vec![Vector3::zeros(), Vector3::x()], way }
     }
 
     #[test]
@@ -376,6 +436,22 @@ mod tests {
         assert!((level.at(1.25).unwrap().x - 0.15625).abs() < 1e-12);
         let straight = along(Way::Spline(vec![[Vector4::x(); 2]; 2]));
         assert!((straight.at(1.7).unwrap().x - 0.7).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_spline_that_scales_by_nothing_scales_as_at_rest() {
+        let tangents = [-4.0, 4.0].map(|along| [Vector4::repeat(along), Vector4::repeat(along)]);
+        let scales = Curve {
+            times: [0.0, 1.0].into(),
+            keys: vec![Vector3::repeat(1.0); 2],
+            way: Way::Spline(tangents.to_vec()),
+        };
+        let track = NodeTrack { scales, ..NodeTrack::default() };
+        assert!(track.scales.at(0.5).unwrap().norm() < 1e-12);
+        let rest = Similarity3::from_scaling(2.0);
+        assert_eq!(track.at(&rest, 0.5).scaling(), 2.0);
+        assert_eq!(track.at(&rest, 0.0).scaling(), 1.0);
+        assert!(track.check_scales(3, "wrist").is_ok());
     }
 
     #[test]

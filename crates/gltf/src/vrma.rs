@@ -216,7 +216,8 @@ pub(super) fn read(
     let of_hands =
         |side: Side| (0..BONES).filter_map(move |bone| bones.0.get(&bone_name(bone, side)).copied());
     let hands: BTreeSet<usize> = of_hands(Side::Left).chain(of_hands(Side::Right)).collect();
-    let (animation, note) = if hands.is_empty() { return Err(none()) } else { moving(document, &hands)? };
+    let (animation, note) =
+        if hands.is_empty() { return Err(none()) } else { moving(document, &hands, &hands)? };
     let mut found =
         Imported { hands: Vec::new(), placed: false, rate: facts.rate, notes: Vec::from_iter(note) };
     let tracks = read_tracks(&animation, &source.bytes, &all, limits)?.nodes;

@@ -452,12 +452,12 @@ impl Rows<'_> {
     fn joints(&self, joints: &Array, out: &mut Vec<Sample>) -> Result<(), String> {
         let expected = "expected 21 × 3 in each row, and of two hands 2 × 21 × 3 or 42 × 3";
         let wrong = || format!("joints of shape {}, {expected}", shape(&joints.shape));
-        let before = match joints.shape.as_slice() {
-            [before @ .., 21, 3] => before.to_vec(),
-            [before @ .., 42, 3] => [before, &[2]].concat(),
+        let (before, hands) = match joints.shape.as_slice() {
+            [before @ .., 21, 3] => (before, None),
+            [before @ .., 42, 3] => (before, Some(2)),
             _ => return Err(wrong()),
         };
-        for (at, values) in At::each(&before, joints.data.chunks_exact(63)).ok_or_else(wrong)? {
+        for (at, values) in At::each(before, hands, joints.data.chunks_exact(63)).ok_or_else(wrong)? {
             // Of a hand that is not there some programs write noughts.
             let whole = values.iter().all(|v| v.is_finite()) && values.iter().any(|v| *v != 0.0);
             let points = || Box::new(std::array::from_fn(|k| Point3::from_slice(&values[3 * k..3 * k + 3])));
@@ -495,7 +495,7 @@ impl Rows<'_> {
         };
         let matrices = width >= 9 * TURNS;
         let step = if matrices { 9 } else { 3 };
-        for (at, values) in At::each(before, pose.data.chunks_exact(width)).ok_or_else(wrong)? {
+        for (at, values) in At::each(before, None, pose.data.chunks_exact(width)).ok_or_else(wrong)? {
             let (wrist, joints) = values.split_at(if with_wrist { step } else { 0 });
             let told = if with_wrist {
                 Some(turn(wrist)?)
@@ -566,19 +566,22 @@ impl fmt::Display for At {
 }
 
 impl At {
-    /// The hands of an array with these lengths `before` those of a hand: rows, and in each row one hand or two; `None` where
-    /// there are more.
+    /// The hands of an array with these lengths `before` those of its `hands`, or where these are not told of one: rows, and in
+    /// each row one hand or two; `None` where there are more.
     fn each<'a>(
         before: &[usize],
+        hands: Option<usize>,
         values: ChunksExact<'a, f64>,
     ) -> Option<impl Iterator<Item = (Self, &'a [f64])>> {
-        // A list of one is one as well.
-        let lengths: Vec<usize> = before.iter().copied().filter(|n| *n != 1).collect();
-        let hands = match (before, lengths.as_slice()) {
-            ([_, .., 2], _) => 2,
-            (_, [] | [_]) => 1,
-            _ => return None,
+        let (before, hands) = match (before, hands) {
+            (before, Some(hands)) => (before, hands),
+            ([rows @ .., 2], None) if !rows.is_empty() => (rows, 2),
+            (before, None) => (before, 1),
         };
+        // A list of one is one as well.
+        if before.iter().filter(|n| **n != 1).count() > 1 {
+            return None;
+        }
         let rows = values.len() / hands;
         Some(
             values
@@ -872,6 +875,18 @@ mod tests {
         let nested: Vec<Value> =
             (0..5).map(|i| json!([left[i].map(<[f64; 3]>::from), right[i].map(<[f64; 3]>::from)])).collect();
         check(parse(&json!({ "joints": nested }).to_string()).unwrap());
+        // Of one frame, and in a frame for each object.
+        let one = lone("(42, 3)", &rows(&left[..1], &right[..1])).unwrap();
+        let found: Vec<_> = one.iter().map(|clip| (clip.side, clip.frames.len())).collect();
+        assert_eq!(found, [(Some(Side::Left), 1), (Some(Side::Right), 1)]);
+        same(&one[0], 0, &left[0]);
+        let frames: Vec<Value> = (0..5)
+            .map(|i| {
+                let both: Vec<[f64; 3]> = left[i].iter().chain(&right[i]).map(|p| [p.x, p.y, p.z]).collect();
+                json!({ "joints_3d": both })
+            })
+            .collect();
+        check(parse(&json!(frames).to_string()).unwrap());
         // Rotations as well.
         let turns: Vec<Value> =
             (0..5).map(|i| json!([mirrored(&motion(i)).to_vec(), motion(i).to_vec()])).collect();

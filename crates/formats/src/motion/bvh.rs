@@ -38,6 +38,7 @@ use super::{
     skeleton,
 };
 use crate::landmarks::LandmarkClip;
+use crate::lines::quoted;
 use handcast_gltf::JointNames;
 use handcast_hand::clip::MAX_RATE;
 use handcast_hand::turns::{PosesFromTurns, turns_zxy};
@@ -251,7 +252,7 @@ fn channels<'a>(
     for name in names {
         let known = CHANNELS.into_iter().find(|known| known.eq_ignore_ascii_case(name));
         let known = known.ok_or_else(|| {
-            format!("no channel is called {name:.40?}; allowed are {}", CHANNELS.join(", "))
+            format!("no channel is called {}; allowed are {}", quoted(name), CHANNELS.join(", "))
         })?;
         if found.iter().any(|(other, _)| *other == known) {
             return Err(format!("the channel {known} is there twice"));
@@ -303,7 +304,7 @@ fn motion<'a>(
 fn numbers(text: &str, width: usize) -> Result<Vec<f64>, String> {
     let number = |(i, word): (usize, &str)| {
         let value = word.parse::<f64>().ok().filter(|value| value.is_finite());
-        value.ok_or_else(|| format!("number {} is {word:.40?}, allowed are finite numbers", i + 1))
+        value.ok_or_else(|| format!("number {} is {}, allowed are finite numbers", i + 1, quoted(word)))
     };
     let row = text.split_whitespace().enumerate().map(number).collect::<Result<Vec<_>, _>>()?;
     if row.len() == width { Ok(row) } else { Err(format!("{width} numbers expected, found {}", row.len())) }

@@ -27,7 +27,7 @@ use super::{
     stream, vrma,
 };
 use crate::landmarks::{iwer, leap, mano, mediapipe, points, pose_format, still, webxr, xr};
-use crate::lines::unmarked;
+use crate::lines::{quoted, unmarked};
 use crate::poses;
 use handcast_hand::PoseClip;
 use handcast_limits::Limits;
@@ -176,8 +176,7 @@ impl NotKnown {
                 tried.push(format.name);
             }
         }
-        let names: Vec<String> =
-            first_names(json_head(bytes)).iter().map(|name| format!("{name:.40?}")).collect();
+        let names: Vec<String> = first_names(json_head(bytes)).iter().map(|name| quoted(name)).collect();
         let found = match names.as_slice() {
             [] => "with no names in it,".to_owned(),
             [one] => format!("with the name {one}"),

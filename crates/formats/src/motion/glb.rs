@@ -76,7 +76,8 @@ fn read(format: &'static Format, bytes: &[u8], limits: &Limits) -> Result<Motion
 }
 
 impl Motion {
-    /// As [`Motion::parse_within`], of a .glb or .gltf file whose joints a map names.
+    /// As [`Motion::parse_within`], of a .glb or .gltf file whose joints a map names. Files that a .gltf refers to are
+    /// opened as there.
     ///
     /// # Errors
     /// See [`MotionError`].
@@ -96,9 +97,13 @@ impl Motion {
 }
 
 /// The content of a file of glTF with what it refers to, which lies beside it.
-pub(super) fn with_files<'a>(path: &Path, bytes: &'a [u8]) -> Result<Cow<'a, [u8]>, ContentError> {
+pub(super) fn with_files<'a>(
+    path: &Path,
+    bytes: &'a [u8],
+    limits: &Limits,
+) -> Result<Cow<'a, [u8]>, ContentError> {
     Ok(match path.parent() {
-        Some(folder) if is_json(bytes) => handcast_gltf::with_buffers(bytes, folder)?,
+        Some(folder) if is_json(bytes) => handcast_gltf::with_buffers(bytes, folder, limits)?,
         _ => bytes.into(),
     })
 }

@@ -92,13 +92,16 @@ impl RigDocument {
     /// The nodes of a file whose motion is read. Without skins any node may be a joint; what is visible hangs on joints that
     /// vertices have weights for, where these can be read, else on nodes that move.
     pub(super) fn of_motion(source: &Source) -> Result<Self, GltfError> {
-        let json: Value = serde_json::from_slice(source.text)?;
-        let (mut meshes, mut bytes) = (json.clone(), source.bytes.to_vec());
+        let mut json: Value = serde_json::from_slice(source.text)?;
+        let mut bytes = source.bytes.to_vec();
+        // Where everything lies in the one buffer.
+        json["bufferViews"] = serde_json::to_value(&source.document.as_json().buffer_views)?;
         let mut out = Self::with_nodes(json, Vec::new(), &source.document)?;
         if source.document.skins().len() == 0 {
             out.is_joint.fill(true);
         }
-        let weighed = weights::mend(&mut meshes, &mut bytes).map(|weighed| weighed.joints);
+        let checked = check_ranges(&out.json, bytes.len());
+        let weighed = checked.and_then(|()| weights::mend(&mut out.json, &mut bytes)).map(|w| w.joints);
         let channels = source.document.animations().flat_map(|a| a.channels().collect::<Vec<_>>());
         let moved = || channels.map(|channel| channel.target().node().index()).collect();
         let carriers = weighed.ok().filter(|joints| !joints.is_empty()).unwrap_or_else(moved);
@@ -191,8 +194,8 @@ impl RigDocument {
         let mut next: Vec<usize> = (0..count).filter(|&n| out.parents[n].is_none()).collect();
         while let Some(node) = next.pop() {
             out.order.push(node);
-            out.world[node] =
-                out.parents[node].map_or_else(Similarity3::identity, |p| out.world[p]) * out.locals[node];
+            let above = out.parents[node].map_or_else(Similarity3::identity, |p| out.world[p]);
+            out.world[node] = placed(&above, &out.locals[node]).ok_or_else(|| vanishing(node))?;
             next.append(&mut children[node]);
         }
         if out.order.len() < count {
@@ -236,6 +239,21 @@ impl RigDocument {
             object.insert("scale".into(), json!([s, s, s]));
         }
     }
+}
+
+/// Least scaling in the world.
+const LEAST_SCALING: f64 = 1e-30;
+
+/// Where a node is in the world that is `here` against the one `above`; `None` where scales add up to nothing, or beyond numbers.
+pub(super) fn placed(above: &Similarity3<f64>, here: &Similarity3<f64>) -> Option<Similarity3<f64>> {
+    let scaling = above.scaling() * here.scaling();
+    (scaling.is_finite() && scaling >= LEAST_SCALING).then(|| above * here)
+}
+
+pub(super) fn vanishing(node: usize) -> RigError {
+    file(format!(
+        "node {node} is scaled by less than {LEAST_SCALING:e} in all, or by more than there are numbers"
+    ))
 }
 
 /// Where the joints of a skin are when it is bound; `None` where it does not say, or that is no pose.
@@ -457,7 +475,7 @@ fn check_ranges(json: &Value, size: usize) -> Result<(), RigError> {
             start.checked_add(count.checked_sub(1)?.checked_mul(stride)?)?.checked_add(row_size(accessor))
         });
         let view = &json["bufferViews"][view as usize];
-        let allowed = (number(view, "byteOffset") + number(view, "byteLength")).min(size);
+        let allowed = number(view, "byteOffset").saturating_add(number(view, "byteLength")).min(size);
         if count > 0 && end.is_none_or(|end| end > allowed) {
             return Err(file(format!("accessor {i} ends beyond its buffer view")));
         }

@@ -8,7 +8,7 @@ use serde_json::Value;
 use super::document::RigDocument;
 use super::hand::RigHand;
 use super::{JointMap, RigError, body};
-use crate::names::{Reading, readings};
+use crate::names::{Reading, quoted, readings};
 use handcast_hand::landmarks::tell_side;
 use handcast_hand::{Joint, Side};
 
@@ -184,10 +184,6 @@ fn human_bones(json: &Value, count: usize) -> (Vec<(Cow<'_, str>, usize)>, Vec<S
         wrong.map(|(name, node)| format!("bone {} of the avatar is node {node} of {count}", quoted(name)));
     all.retain(|(_, node)| *node < count);
     (all, note.into_iter().collect())
-}
-
-fn quoted(name: &str) -> String {
-    format!("{name:.40?}")
 }
 
 /// Names of joints that messages list.

@@ -5,7 +5,7 @@ use nalgebra::{Matrix3, Rotation3, Similarity3, Translation3, UnitQuaternion, Ve
 use super::document::RigDocument;
 use super::find::{Found, lacking};
 use super::{RigError, body};
-use crate::names::place;
+use crate::names::{place, quoted};
 use handcast_hand::{
     Finger, HandFrames, Joint, JointAngle, Morphology, Side, Skeleton, mirror_rotation, mirror_vector,
 };
@@ -76,8 +76,8 @@ impl RigHand {
         match self.nodes().find_map(|(_, node)| document.sheared_by(node)) {
             Some(node) => Err(RigError::File {
                 what: format!(
-                    "node {node} ({:?}), above a joint of the hand, has scales that are not equal and positive",
-                    document.names[node]
+                    "node {node} ({}), above a joint of the hand, has scales that are not equal and positive",
+                    quoted(&document.names[node])
                 ),
             }),
             None => Ok(()),

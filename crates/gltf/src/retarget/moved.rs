@@ -9,10 +9,10 @@ use std::collections::BTreeSet;
 use nalgebra::{Quaternion, Similarity3, UnitQuaternion, Vector3};
 use serde_json::{Map, Value, json};
 
-use super::document::RigDocument;
+use super::JointMap;
+use super::document::{RigDocument, placed, vanishing};
 use super::find::{Found, find};
 use super::hand::{Bind, RigHand, Sizes};
-use super::{JointMap, RigError};
 use crate::GltfError;
 use crate::import::{Facts, ImportedHand};
 use crate::source::Source;
@@ -98,8 +98,8 @@ impl<'a> MovedRig<'a> {
             let hand = RigHand::of_nodes(&self.document, side, nodes, body_in(told))?;
             hands.push(MovedHand::new(&self.document, hand, facts.morphology(side))?);
         }
-        let nodes = self.relevant(&hands);
-        let (animation, note) = moving(&self.source.document, &nodes)?;
+        let nodes = self.and_above(joints(&hands));
+        let (animation, note) = moving(&self.source.document, &joints(&hands), &nodes)?;
         let nodes: Vec<usize> = nodes.into_iter().collect();
         let tracks = read_tracks(&animation, &self.source.bytes, &nodes, limits)?;
         let times = tracks.times.clone();
@@ -144,8 +144,8 @@ impl<'a> MovedRig<'a> {
             let sizes = facts.morphology(hand.side);
             moved.push(MovedHand::new(&self.document, hand, sizes)?);
         }
-        let nodes = self.relevant(&moved);
-        let (animation, note) = moving(&self.source.document, &nodes)?;
+        let nodes = self.and_above(joints(&moved));
+        let (animation, note) = moving(&self.source.document, &joints(&moved), &nodes)?;
         let nodes: Vec<usize> = nodes.into_iter().collect();
         let tracks = read_tracks(&animation, &self.source.bytes, &nodes, limits)?;
         let (times, rate) = match facts.rate {
@@ -163,12 +163,10 @@ impl<'a> MovedRig<'a> {
         Ok(FoundPoses { notes, rate, ..found })
     }
 
-    /// The nodes of some hands, and those above them.
-    fn relevant(&self, hands: &[MovedHand]) -> BTreeSet<usize> {
+    /// Some nodes, and those above them.
+    fn and_above(&self, nodes: impl IntoIterator<Item = usize>) -> BTreeSet<usize> {
         let up = |node: &usize| self.document.parents[*node];
-        let of = |hand: &MovedHand| -> Vec<usize> { hand.hand.nodes().map(|(_, node)| node).collect() };
-        let joints = hands.iter().flat_map(of);
-        joints.flat_map(|node| std::iter::successors(Some(node), up)).collect()
+        nodes.into_iter().flat_map(|node| std::iter::successors(Some(node), up)).collect()
     }
 
     fn poses(
@@ -179,15 +177,10 @@ impl<'a> MovedRig<'a> {
         times: &[f64],
     ) -> Result<FoundPoses, GltfError> {
         let document = &self.document;
-        let own: BTreeSet<usize> =
-            hands.iter().flat_map(|hand| hand.hand.nodes()).map(|(_, node)| node).collect();
-        let above = |node: usize| own.iter().any(|&joint| joint == node || document.is_below(joint, node));
-        let sheared = nodes.iter().zip(&tracks.nodes).find(|(node, track)| track.shears() && above(**node));
-        if let Some((node, _)) = sheared {
-            let name = &document.names[*node];
-            let what =
-                format!("node {node} ({name:.40?}) is scaled by amounts that are not equal and positive");
-            return Err(RigError::File { what }.into());
+        // Scales of a joint without another below change no pose.
+        let above = self.and_above(joints(hands).into_iter().filter_map(|joint| document.parents[joint]));
+        for (node, track) in nodes.iter().zip(&tracks.nodes).filter(|(node, _)| above.contains(node)) {
+            track.check_scales(*node, &document.names[*node])?;
         }
         let mut track_of: Vec<Option<&NodeTrack>> = vec![None; document.names.len()];
         nodes.iter().zip(&tracks.nodes).for_each(|(&node, track)| track_of[node] = Some(track));
@@ -200,7 +193,10 @@ impl<'a> MovedRig<'a> {
             for &node in &order {
                 let rest = &document.locals[node];
                 let here = track_of[node].map_or(*rest, |track| track.at(rest, time));
-                world[node] = document.parents[node].map_or(here, |above| world[above] * here);
+                world[node] = match document.parents[node] {
+                    Some(above) => placed(&world[above], &here).ok_or_else(|| vanishing(node))?,
+                    None => here,
+                };
             }
             for ((hand, reader), poses) in hands.iter().zip(&mut readers).zip(&mut poses) {
                 poses.push((time, hand.pose(document, reader, &world)));
@@ -231,6 +227,11 @@ impl<'a> MovedRig<'a> {
         let hands = hands.iter().zip(poses).map(read).collect();
         Ok(FoundPoses { hands, placed, rate: None, notes })
     }
+}
+
+/// The nodes of some hands.
+fn joints(hands: &[MovedHand]) -> BTreeSet<usize> {
+    hands.iter().flat_map(|hand| hand.hand.nodes()).map(|(_, node)| node).collect()
 }
 
 impl MovedHand {

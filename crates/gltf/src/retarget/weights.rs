@@ -6,6 +6,7 @@ use serde_json::Value;
 
 use super::RigError;
 use super::document::{MAX_ROWS, file, layout, list, number};
+use crate::names::quoted;
 
 /// Most vertices of a primitive.
 const MAX_VERTICES: usize = 4_000_000;
@@ -110,7 +111,7 @@ pub(super) fn mend(json: &mut Value, bytes: &mut [u8]) -> Result<Weighed, RigErr
         let joints = json["skins"][skin as usize]["joints"].as_array().into_iter().flatten();
         let joints: Vec<usize> = joints.filter_map(Value::as_u64).map(|node| node as usize).collect();
         let mesh_json = &json["meshes"][mesh as usize];
-        let title = mesh_json["name"].as_str().map_or_else(|| mesh.to_string(), |n| format!("{n:.40?}"));
+        let title = mesh_json["name"].as_str().map_or_else(|| mesh.to_string(), quoted);
         let mut checked = BTreeSet::new();
         for (p, primitive) in list(mesh_json, "primitives").enumerate() {
             let [weights, carriers] = ["WEIGHTS", "JOINTS"].map(|word| sets(primitive, word));

@@ -10,6 +10,7 @@ use nalgebra::{Isometry3, Point3};
 
 use super::{BvhError, Node, local};
 use crate::landmarks::{LandmarkClip, LandmarkFrame};
+use crate::lines::quoted;
 use handcast_gltf::joints_named;
 use handcast_hand::landmarks::{JointPoints, hand_length};
 use handcast_hand::{Finger, Joint, Side};
@@ -123,7 +124,7 @@ fn find(nodes: &[Node]) -> Result<(Vec<FoundHand>, Option<String>), BvhError> {
         hands.push(FoundHand { side, joints });
     }
     if hands.is_empty() {
-        let names: Vec<String> = nodes.iter().take(8).map(|n| format!("{:.40?}", n.name)).collect();
+        let names: Vec<String> = nodes.iter().take(8).map(|n| quoted(&n.name)).collect();
         let none = || {
             format!("no joint is the wrist of a hand in any convention; joints are {}, …", names.join(", "))
         };
