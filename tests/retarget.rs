@@ -444,6 +444,34 @@ fn joints_that_stand_posed_rest_as_their_skin_is_bound() {
     }
 }
 
+/// A further skin, of one finger, is bound in another pose.
+#[test]
+fn a_hand_rests_as_one_skin_is_bound() {
+    let clip = clip(&[Side::Right], 30);
+    let mut options = ExportOptions::default();
+    options.texture = None;
+    let two = changed(&stripped(&export(&clip, &options).unwrap()), |json| {
+        let of_index = &json["skins"][0]["joints"].as_array().unwrap()[Joint::IndexMetacarpal.index()..][..5];
+        let skin =
+            json!({ "joints": of_index, "inverseBindMatrices": json["skins"][0]["inverseBindMatrices"] });
+        json["skins"].as_array_mut().unwrap().push(skin);
+    });
+    let off = worst(&clip, &read(&two).hands);
+    assert!(off < 1e-3, "{off}°");
+    // A tip that the skin lacks keeps still on the bone before it.
+    let bare = changed(&stripped(&export(&clip, &options).unwrap()), |json| {
+        json["meshes"] = json!([]);
+        json["nodes"].as_array_mut().unwrap().iter_mut().for_each(|node| {
+            let node = node.as_object_mut().unwrap();
+            let _ = (node.remove("mesh"), node.remove("skin"));
+        });
+        let tip = json["skins"][0]["joints"].as_array_mut().unwrap().pop().unwrap();
+        json["skins"].as_array_mut().unwrap().push(json!({ "joints": [tip] }));
+    });
+    let off = worst(&clip, &read(&bare).hands);
+    assert!(off < 1e-3, "{off}°");
+}
+
 /// What moved a rig comes back whatever pose its nodes stand in.
 #[test]
 fn rigs_that_stand_posed_are_read_back() {

@@ -875,18 +875,6 @@ mod tests {
         let nested: Vec<Value> =
             (0..5).map(|i| json!([left[i].map(<[f64; 3]>::from), right[i].map(<[f64; 3]>::from)])).collect();
         check(parse(&json!({ "joints": nested }).to_string()).unwrap());
-        // Of one frame, and in a frame for each object.
-        let one = lone("(42, 3)", &rows(&left[..1], &right[..1])).unwrap();
-        let found: Vec<_> = one.iter().map(|clip| (clip.side, clip.frames.len())).collect();
-        assert_eq!(found, [(Some(Side::Left), 1), (Some(Side::Right), 1)]);
-        same(&one[0], 0, &left[0]);
-        let frames: Vec<Value> = (0..5)
-            .map(|i| {
-                let both: Vec<[f64; 3]> = left[i].iter().chain(&right[i]).map(|p| [p.x, p.y, p.z]).collect();
-                json!({ "joints_3d": both })
-            })
-            .collect();
-        check(parse(&json!(frames).to_string()).unwrap());
         // Rotations as well.
         let turns: Vec<Value> =
             (0..5).map(|i| json!([mirrored(&motion(i)).to_vec(), motion(i).to_vec()])).collect();
@@ -922,6 +910,28 @@ mod tests {
                 .unwrap_err()
                 .contains("is_right has 1 values for 5 rows of 2 hands")
         );
+    }
+
+    /// The joints of two hands in one list: one frame of them alone, and a frame for each object.
+    #[test]
+    fn joints_of_two_hands_are_one_instant() {
+        let right = |i: usize| twin(Side::Right, WRIST, &motion(i));
+        let both = |i: usize| -> Vec<[f64; 3]> {
+            right(i).map(mirror).iter().chain(&right(i)).map(|p| [p.x, p.y, p.z]).collect()
+        };
+        let frames: Vec<Value> = (0..5).map(|i| json!({ "joints_3d": both(i) })).collect();
+        let lone = doubles("(42, 3)", &both(0).concat());
+        for (clips, count) in [
+            (parse_npy(&lone, &Limits::default()).unwrap(), 1),
+            (parse(&json!(frames).to_string()).unwrap(), 5),
+        ] {
+            let found: Vec<_> = clips.iter().map(|clip| (clip.side, clip.frames.len())).collect();
+            assert_eq!(found, [(Some(Side::Left), count), (Some(Side::Right), count)]);
+            for i in 0..count {
+                same(&clips[0], i, &right(i).map(mirror));
+                same(&clips[1], i, &right(i));
+            }
+        }
     }
 
     fn poses(clips: &[LandmarkClip]) -> PoseClip {

@@ -14,6 +14,7 @@ use serde_json::{Value, json};
 use handcast_limits::Limits;
 
 use super::body::{HIPS, words};
+use super::hand::RigHand;
 use super::{RigError, weights};
 use crate::GltfError;
 use crate::container::split;
@@ -113,15 +114,32 @@ impl RigDocument {
         Ok(out)
     }
 
-    /// Lets the joints of skins rest as these are bound, where nodes stand in another pose.
-    pub(super) fn at_bound_rest(mut self, source: &Source) -> Self {
-        source.document.skins().for_each(|skin| self.rest_as_bound(&skin, &source.bytes));
+    /// Lets the joints of each hand rest as its skin is bound, where nodes stand in another pose: the one skin that has its palm
+    /// and most of its joints, since skins may be bound in poses of their own.
+    pub(super) fn at_bound_rest(mut self, source: &Source, hands: &[RigHand]) -> Self {
+        for hand in hands {
+            let own: BTreeSet<usize> = hand.nodes().map(|(_, node)| node).collect();
+            let (mut best, mut most) = (None, own.len() / 2);
+            for skin in source.document.skins() {
+                let joints: BTreeSet<usize> = skin.joints().map(|joint| joint.index()).collect();
+                let count = own.intersection(&joints).count();
+                if count > most
+                    && hand.palm_nodes().all(|node| joints.contains(&node))
+                    && let Some(bound) = bound(&skin, &source.bytes)
+                {
+                    (best, most) = (Some(bound), count);
+                }
+            }
+            if let Some(rest) = best.and_then(|bound| self.rest_as_bound(&bound)) {
+                own.into_iter().for_each(|node| self.rest[node] = rest[node]);
+            }
+        }
         self
     }
 
-    /// Lets the joints of a skin rest as it is bound, where nodes stand in another pose: that of the first frame, say.
-    fn rest_as_bound(&mut self, skin: &::gltf::Skin, bytes: &[u8]) {
-        let Some(bound) = bound(skin, bytes) else { return };
+    /// Where nodes rest as the joints of a skin are bound, and with these what hangs on them; `None` where they stand in that
+    /// pose, and not in another one: that of the first frame, say.
+    fn rest_as_bound(&self, bound: &BTreeMap<usize, Similarity3<f64>>) -> Option<Vec<Similarity3<f64>>> {
         let above = |node: usize| self.parents[node].filter(|above| bound.contains_key(above));
         let pairs = || bound.iter().filter_map(|(&node, here)| Some((node, here, above(node)?)));
         let posed = pairs().any(|(node, here, above)| {
@@ -137,14 +155,25 @@ impl RigDocument {
         });
         let [length, wanted] = bones.fold([0.0; 2], |sum, bone| [sum[0] + bone[0], sum[1] + bone[1]]);
         if !posed || length < 1e-9 {
-            return;
+            return None;
         }
         // Meshes may be made in other units.
         let unit = wanted / length;
-        for (node, mut here) in bound {
-            here.isometry.translation.vector *= unit;
-            self.rest[node] = Similarity3::from_isometry(here.isometry, self.world[node].scaling());
+        let (mut rest, mut carried) = (self.world.clone(), vec![false; self.world.len()]);
+        for &node in &self.order {
+            let above = self.parents[node].filter(|above| carried[*above]);
+            rest[node] = match (bound.get(&node), above) {
+                (Some(here), _) => {
+                    let mut here = here.isometry;
+                    here.translation.vector *= unit;
+                    Similarity3::from_isometry(here, self.world[node].scaling())
+                }
+                (None, Some(above)) => rest[above] * self.locals[node],
+                (None, None) => continue,
+            };
+            carried[node] = true;
         }
+        Some(rest)
     }
 
     fn with_nodes(json: Value, bytes: Vec<u8>, document: &::gltf::Document) -> Result<Self, RigError> {

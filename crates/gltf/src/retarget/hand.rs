@@ -89,6 +89,12 @@ impl RigHand {
         self.joints[Joint::Wrist.index()]
     }
 
+    /// The nodes of the wrist and the knuckles.
+    pub(super) fn palm_nodes(&self) -> impl Iterator<Item = usize> {
+        let knuckles = Finger::LONG.into_iter().map(Joint::base);
+        std::iter::once(Joint::Wrist).chain(knuckles).filter_map(|joint| self.joints[joint.index()])
+    }
+
     /// The nodes that move, with their joints (`None` for the palm).
     pub(super) fn nodes(&self) -> impl Iterator<Item = (Option<Joint>, usize)> {
         let joints = Joint::ALL.into_iter().zip(self.joints).filter_map(|(j, n)| n.map(|n| (Some(j), n)));

@@ -136,9 +136,9 @@ impl<'a> MovedRig<'a> {
         facts: &Facts,
         limits: &Limits,
     ) -> Result<FoundPoses, GltfError> {
-        // Who moved it had it as it is bound; ours are moved from where nodes stand.
-        self.document = self.document.at_bound_rest(self.source);
         let (hands, mut notes) = find(&self.document, map)?;
+        // Who moved it had it as it is bound; ours are moved from where nodes stand.
+        self.document = self.document.at_bound_rest(self.source, &hands);
         let mut moved = Vec::new();
         for hand in hands {
             let sizes = facts.morphology(hand.side);
