@@ -1,5 +1,5 @@
 //! What the fuzz targets check, one function each. The stored corpus runs through the same functions as
-//! ordinary tests (`tests/fuzz_corpus.rs`).
+//! ordinary tests (`tests/suite/fuzz_corpus.rs`).
 
 #![allow(dead_code)]
 

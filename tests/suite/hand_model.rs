@@ -1,0 +1,153 @@
+//! The model as a user meets it: the command on hand shapes, spelling and imports, and the tables in spec.
+
+use std::path::Path;
+
+use assert_cmd::Command;
+use handcast_formats::poses::read_poses;
+use handcast_hand::anthropometry::{Bounds, check};
+use handcast_hand::shapes::ShapeLibrary;
+use handcast_hand::{Domain, Joint, JointAngle, Morphology, Side, Skeleton, limits};
+
+fn handcast(args: &[&str], dir: &Path) -> Command {
+    let mut command = Command::cargo_bin("handcast").unwrap();
+    command.args(args).current_dir(dir);
+    command
+}
+
+#[test]
+fn limits_are_those_of_the_spec() {
+    let text = include_str!("../../spec/hand-model.md");
+    let rows = text.lines().skip_while(|l| !l.starts_with("## 3")).filter(|l| l.starts_with("| `"));
+    let mut seen = Vec::new();
+    for row in rows.take_while(|l| !l.contains("offset")) {
+        let cells: Vec<_> = row.trim_matches('|').split('|').map(str::trim).collect();
+        let number = |s: &str| s.replace('−', "-").parse::<f64>().unwrap();
+        let (min, max) = (number(cells[1]), number(cells[2]));
+        for name in cells[0].split(',').map(|n| n.trim().trim_matches('`')) {
+            let names: Vec<String> = match name.strip_prefix('x') {
+                Some(rest) => ["index", "middle", "ring", "pinky"].map(|f| format!("{f}{rest}")).into(),
+                None => vec![name.into()],
+            };
+            for name in names {
+                let l = limits(JointAngle::from_name(&name).unwrap());
+                assert!((l.min.to_degrees() - min).abs() < 1e-9, "{name}");
+                assert!((l.max.to_degrees() - max).abs() < 1e-9, "{name}");
+                seen.push(name);
+            }
+        }
+    }
+    seen.sort();
+    seen.dedup();
+    assert_eq!(seen.len(), 29);
+}
+
+/// The standard's neutral arm hangs, the palm to the thigh: x to the body's left, y up, z forward, the left
+/// hand. Fingers point down, the thumb forward, and the palm to the right.
+#[test]
+fn the_suggested_body_is_the_neutral_shape() {
+    let mut rows = include_str!("../../spec/suggested-joints.csv").lines().skip(1).map(|row| {
+        let (name, place) = row.split_once(',').unwrap();
+        let place: Vec<f64> = place.split(',').map(|v| v.parse().unwrap()).collect();
+        (name, [place[0], place[1], place[2]])
+    });
+    let (name, wrist) = rows.next().unwrap();
+    assert_eq!(name, "wrist");
+    let joints: Vec<_> =
+        Joint::ALL.into_iter().filter(|j| *j != Joint::Wrist && !j.webxr_name().ends_with("tip")).collect();
+    let morphology = Morphology::suggested_body();
+    morphology.validate().unwrap();
+    assert_eq!(check(&morphology, Bounds::Persons).len(), 4, "why it is not the default");
+    let [left, right] =
+        [Side::Left, Side::Right].map(|s| Skeleton::new(&morphology, s).local_frames(&[0.0; 29]));
+    let mut count = 0;
+    for (joint, (name, place)) in joints.iter().zip(rows) {
+        let finger = name.trim_end_matches(|c: char| c.is_ascii_digit());
+        assert!(joint.webxr_name().starts_with(finger), "{name} is not {}", joint.webxr_name());
+        let [x, y, z] = [0, 1, 2].map(|k| place[k] - wrist[k]);
+        for (frames, radial) in [(&left, -1.0), (&right, 1.0)] {
+            let found = frames.position(*joint).coords - nalgebra::Vector3::new(radial * z, -y, -x);
+            assert!(found.norm() < 5e-5, "{name}: off by {found:?}");
+        }
+        count += 1;
+    }
+    assert_eq!((count, joints.len()), (19, 19));
+}
+
+#[test]
+fn the_mean_hand_is_a_hand() {
+    assert_eq!(check(&Morphology::default(), Bounds::Persons), []);
+}
+
+#[test]
+fn shapes_are_written_as_pictures_models_and_poses() {
+    let dir = tempfile::tempdir().unwrap();
+    let run = |args: &[&str]| handcast(args, dir.path()).assert().success();
+    run(&["pose", "asl:A", "-o", "a.png", "--size", "96x96"]);
+    let picture = image::open(dir.path().join("a.png")).unwrap().to_rgb8();
+    assert_eq!(picture.dimensions(), (96, 96));
+    let colours: std::collections::BTreeSet<_> = picture.pixels().map(|p| p.0).collect();
+    assert!(colours.len() > 100, "a shaded hand, not a plain field");
+    run(&["pose", "f", "-o", "f.glb", "--hand", "left"]);
+    let bytes = std::fs::read(dir.path().join("f.glb")).unwrap();
+    assert_eq!(&bytes[..4], b"glTF");
+    run(&["pose", "ASL:d", "-o", "d.jsonl"]);
+    let clip = read_poses(&dir.path().join("d.jsonl")).unwrap();
+    let expected = ShapeLibrary::builtin().unwrap().get("asl:D").unwrap().pose(Side::Right);
+    for (a, b) in clip.frames[0].pose.angles.iter().zip(&expected.angles) {
+        assert!((a - b).abs() < 1e-6);
+    }
+    let list = run(&["pose", "--list"]).get_output().stdout.clone();
+    assert_eq!(String::from_utf8(list).unwrap().lines().count(), 43);
+}
+
+#[test]
+fn spelled_words_are_feasible_clips() {
+    let dir = tempfile::tempdir().unwrap();
+    handcast(&["spell", "HELLO", "-o", "h.jsonl", "--fps", "50"], dir.path()).assert().success();
+    let clip = read_poses(&dir.path().join("h.jsonl")).unwrap();
+    assert_eq!(clip.header.rate, Some(50.0));
+    assert!(clip.frames.len() > 100);
+    let domain = Domain::full();
+    for frame in &clip.frames {
+        // Files carry 1e-5 degree.
+        assert!(domain.is_feasible(&frame.pose.angles, 1e-6));
+    }
+}
+
+#[test]
+fn wrong_requests_are_refused_and_leave_no_file() {
+    let dir = tempfile::tempdir().unwrap();
+    let refused = |args: &[&str]| {
+        let output = handcast(args, dir.path()).assert().failure().get_output().clone();
+        assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 0, "{args:?}");
+        (output.status.code(), String::from_utf8(output.stderr).unwrap())
+    };
+    let (code, text) = refused(&["pose", "asl:Ö", "-o", "x.png"]);
+    assert!(code == Some(2) && text.contains("no shape is called"), "{text}");
+    let (code, text) = refused(&["pose", "rest", "-o", "x.bmp"]);
+    assert!(code == Some(2) && text.contains("allowed are .glb, .jsonl"), "{text}");
+    let (code, text) = refused(&["spell", "a!", "-o", "x.jsonl"]);
+    assert!(code == Some(2) && text.contains("'!' cannot be spelled"), "{text}");
+    let (code, _) = refused(&["spell", "a", "-o", "x.jsonl", "--rate", "0"]);
+    assert_eq!(code, Some(2));
+    let (code, text) = refused(&["import", "missing.jsonl", "-o", "x.jsonl"]);
+    assert!(code == Some(1) && text.contains("missing.jsonl"), "{text}");
+}
+
+#[test]
+#[ignore = "needs the shared material"]
+fn imports_tell_the_hand_and_keep_its_sizes() {
+    let source = crate::common::shared("data/motion/leap/pinch.landmarks.jsonl");
+    let dir = tempfile::tempdir().unwrap();
+    let source = source.to_str().unwrap();
+    let args = ["import", source, "-o", "p.jsonl", "--save-person", "p.toml"];
+    let output = handcast(&args, dir.path()).assert().success().get_output().clone();
+    let text = String::from_utf8(output.stderr).unwrap();
+    assert!(text.starts_with("right hand: 133 frames solved, 0 bridged, 0 lost, 0 points missing"), "{text}");
+    let clip = read_poses(&dir.path().join("p.jsonl")).unwrap();
+    let person = handcast_formats::person::read_person(&dir.path().join("p.toml")).unwrap();
+    assert_eq!(clip.header.hands[0].morphology.as_ref(), Some(&person.morphology));
+    let args = ["import", source, "-o", "q.jsonl", "--person", "p.toml", "--quiet"];
+    handcast(&args, dir.path()).assert().success().stderr("");
+    assert_eq!(read_poses(&dir.path().join("q.jsonl")).unwrap(), clip);
+}

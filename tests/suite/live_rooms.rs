@@ -1,0 +1,323 @@
+//! The page of a room in headless Chromium: senders and servers that are killed, and two people who wave.
+
+#![cfg(feature = "cli")]
+
+use std::io::{BufRead, BufReader, Lines};
+use std::net::{SocketAddr, TcpListener};
+use std::path::Path;
+use std::process::{Child, ChildStdout, Command, Stdio};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use crate::common::command::path;
+use crate::common::glb::{browser_alone, chromium};
+use handcast_hand::{ClipHand, HandPose, JointAngle, Morphology, PoseHeader, Side, TimedPose};
+use handcast_live::client::RoomClient;
+use handcast_live::page;
+use handcast_live::sender::{LivePoseEncoderOptions, PoseSender};
+use handcast_live::server::{Server, ServerOptions, clock_ms};
+use handcast_live::transport::{Publish as _, Subscribe as _};
+use handcast_live::wire::Message;
+use nalgebra::{UnitQuaternion, Vector3};
+use serde_json::{Value, json};
+
+const RATE: f64 = 30.0;
+
+/// A browser at work on a job, of which one learns step by step.
+struct Pages {
+    child: Child,
+    lines: Lines<BufReader<ChildStdout>>,
+    _folder: tempfile::TempDir,
+}
+
+impl Pages {
+    fn open(job: &Value) -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("job.json");
+        std::fs::write(&file, serde_json::to_vec(job).unwrap()).unwrap();
+        let scripts = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/node");
+        assert!(scripts.join("node_modules").is_dir(), "packages are missing: npm ci --prefix tests/node");
+        let mut child = Command::new("node")
+            .arg(scripts.join("live.js"))
+            .args([&chromium(), &file])
+            .stdout(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let lines = BufReader::new(child.stdout.take().unwrap()).lines();
+        Self { child, lines, _folder: folder }
+    }
+
+    /// Waits until a step's condition is true.
+    fn step(&mut self, number: usize) {
+        assert_eq!(self.lines.next().unwrap().unwrap(), format!("step {number}"));
+    }
+
+    /// What the pages show in the end.
+    fn end(mut self) -> Vec<Value> {
+        let told = self.lines.next().unwrap().unwrap();
+        assert!(self.child.wait().unwrap().success());
+        serde_json::from_str(&told).unwrap()
+    }
+}
+
+/// A hand that waves: to the right of the picture (1) or to its left (-1).
+fn waving(side: Side, towards: f64, seconds: f64) -> TimedPose {
+    let swing = (seconds * 1.6 * std::f64::consts::TAU).sin();
+    let (turn, lean) = (0.45 * towards, 0.10 * towards - 0.26 * swing);
+    let mut pose = HandPose::neutral(side);
+    for joint in [
+        JointAngle::Index1Flexion,
+        JointAngle::Middle1Flexion,
+        JointAngle::Ring1Flexion,
+        JointAngle::Pinky1Flexion,
+    ] {
+        pose = pose.with_degrees(joint, 9.0 + 7.0 * swing);
+    }
+    // About an elbow 24 cm below the wrist, near the other's hand.
+    pose.translation = Vector3::new(0.04 * towards - 0.24 * lean.sin(), 0.24 * (lean.cos() - 1.0), -0.6);
+    pose.rotation = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), lean)
+        * UnitQuaternion::from_axis_angle(&Vector3::y_axis(), turn);
+    TimedPose::new(seconds, pose)
+}
+
+/// Tone of the skin of the two people.
+fn tone(side: Side) -> u8 {
+    if side == Side::Right { 3 } else { 8 }
+}
+
+/// Somebody who waves until told to stop, or dies without a word.
+struct Waver {
+    stop: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Waver {
+    fn start(server: SocketAddr, side: Side, towards: f64, length: f64) -> Self {
+        let stop = Arc::new(AtomicBool::new(false));
+        let told = Arc::clone(&stop);
+        let thread = std::thread::spawn(move || {
+            let mut client = RoomClient::connect(server, "hand", "").unwrap();
+            let mut sender = PoseSender::new(LivePoseEncoderOptions::default());
+            let hands = vec![ClipHand { side, morphology: Some(Morphology::average(length)) }];
+            let known = PoseHeader { hands, skin_tone: Some(tone(side)), ..PoseHeader::default() };
+            let begun = Instant::now();
+            for n in 0.. {
+                if told.load(Ordering::Relaxed) {
+                    return;
+                }
+                let seconds = f64::from(n) / RATE;
+                std::thread::sleep(Duration::from_secs_f64(seconds).saturating_sub(begun.elapsed()));
+                if client.wants_intra() {
+                    sender.request_intra();
+                }
+                let planes =
+                    sender.push(seconds, clock_ms(), &[waving(side, towards, seconds)], &known).unwrap();
+                if let Some(hello) = sender.take_hello() {
+                    client.hello(&hello).unwrap();
+                }
+                // A server may be killed meanwhile.
+                if client.planes(&planes).is_err() {
+                    return;
+                }
+            }
+        });
+        Self { stop, thread: Some(thread) }
+    }
+
+    /// Its connection breaks.
+    fn die(mut self) {
+        self.stop.store(true, Ordering::Relaxed);
+        self.thread.take().unwrap().join().unwrap();
+    }
+}
+
+impl Drop for Waver {
+    fn drop(&mut self) {
+        self.stop.store(true, Ordering::Relaxed);
+    }
+}
+
+fn server() -> Server {
+    let options = ServerOptions::new("127.0.0.1:0".parse().unwrap()).with_parts(page::parts());
+    Server::start(options).unwrap()
+}
+
+#[test]
+#[ignore = "needs Chromium and node"]
+fn the_page_tells_that_a_sender_was_killed_and_shows_the_next_one() {
+    let _alone = browser_alone();
+    let server = server();
+    let waver = Waver::start(server.address(), Side::Right, 1.0, 0.18);
+    let mut pages = Pages::open(&json!({
+        "url": format!("http://{}/hand", server.address()), "seconds": 1, "patience": 60_000,
+        "pages": [{ "width": 420, "height": 420 }],
+        "steps": [
+            "state.hands[0]?.side === 'right' && state.message === null",
+            "state.hands.length === 0 && state.message === 'The sender is gone: its connection broke.'",
+            "state.hands[0]?.side === 'left' && state.message === null",
+        ],
+    }));
+    pages.step(0);
+    waver.die();
+    pages.step(1);
+    // Nothing of the one that is gone is replayed.
+    let mut late = RoomClient::connect(server.address(), "hand", "").unwrap();
+    assert_eq!(late.next(Duration::from_millis(500)).unwrap(), None);
+    let next = Waver::start(server.address(), Side::Left, -1.0, 0.18);
+    pages.step(2);
+    let told = pages.end();
+    assert_eq!(told[0]["state"]["hands"].as_array().unwrap().len(), 1, "{}", told[0]["state"]);
+    assert_eq!(told[0]["messages"], json!([]), "{}", told[0]);
+    assert!(matches!(late.next(Duration::from_secs(5)).unwrap(), Some(Message::Hello { .. })));
+    next.die();
+}
+
+/// Of a card on which a whole picture takes so many milliseconds, on a screen of 60 pictures a second.
+#[test]
+#[ignore = "needs node"]
+fn pictures_are_as_sharp_as_there_is_time() {
+    let script = r#"
+        const { Sharpness } = await import(process.argv[1]);
+        const sharpness = new Sharpness();
+        const shares = [[100, 10], [200, 100], [3000, 100], [3000, 10]].map(([pictures, cost]) => {
+            for (let i = 0; i < pictures; i += 1) {
+                sharpness.next(16.7, false);
+                sharpness.next(16.7 * Math.max(1, Math.ceil((cost * sharpness.share ** 2) / 16.7)), true);
+            }
+            return sharpness.share;
+        });
+        console.log(JSON.stringify(shares));
+    "#;
+    let module = concat!("file://", env!("CARGO_MANIFEST_DIR"), "/crates/live/src/page/sharpness.js");
+    let out = Command::new("node").args(["--input-type=module", "-e", script, module]).output().unwrap();
+    assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
+    let shares: Vec<f64> = serde_json::from_slice(&out.stdout).unwrap();
+    assert!(shares[0] == 1.0 && shares[1] < 0.45 && shares[2] < 0.45 && shares[3] == 1.0, "{shares:?}");
+}
+
+#[test]
+#[ignore = "needs Chromium and node"]
+fn the_page_tells_that_one_has_gone_while_others_stay() {
+    let _alone = browser_alone();
+    let server = server();
+    let stays = Waver::start(server.address(), Side::Right, 1.0, 0.18);
+    let mut seen = RoomClient::connect(server.address(), "hand", "").unwrap();
+    while !matches!(seen.next(Duration::from_secs(1)).unwrap(), Some(Message::Hello { .. })) {}
+    let goes = Waver::start(server.address(), Side::Left, -1.0, 0.18);
+    let mut pages = Pages::open(&json!({
+        "url": format!("http://{}/hand", server.address()), "seconds": 0, "patience": 60_000,
+        "pages": [{ "width": 420, "height": 420 }],
+        "steps": [
+            "state.senders.length === 2 && state.message === null",
+            "state.hands.length === 1 && state.facts.includes('Sender 2 is gone: its connection broke')",
+            "state.hands.length === 1 && !state.facts.includes('gone')",
+        ],
+    }));
+    pages.step(0);
+    goes.die();
+    pages.step(1);
+    pages.step(2);
+    let told = pages.end();
+    assert_eq!(told[0]["state"]["message"], Value::Null, "{}", told[0]["state"]);
+    stays.die();
+}
+
+/// The command at a port that was free.
+struct Live(Child);
+
+impl Live {
+    fn start(address: SocketAddr) -> Self {
+        let mut child = Command::new(env!("CARGO_BIN_EXE_handcast"))
+            .args([
+                "live",
+                "fixtures/demo.avi",
+                "--loop",
+                "--no-net",
+                "--quiet",
+                "--bind",
+                &address.to_string(),
+            ])
+            .stdout(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let mut said = String::new();
+        BufReader::new(child.stdout.as_mut().unwrap()).read_line(&mut said).unwrap();
+        assert!(said.starts_with("http://"), "{said}");
+        Self(child)
+    }
+}
+
+impl Drop for Live {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+#[test]
+#[ignore = "needs Chromium and node"]
+fn the_page_comes_back_to_a_server_that_was_killed() {
+    let _alone = browser_alone();
+    let address = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+    let live = Live::start(address);
+    let mut pages = Pages::open(&json!({
+        "url": format!("http://{address}/hand"), "seconds": 1, "patience": 90_000,
+        "pages": [{ "width": 420, "height": 420 }],
+        "steps": [
+            "state.hands.length === 1 && state.message === null",
+            "!state.open && state.hands.length === 0 && state.message !== null",
+            "state.open && state.hands.length === 1 && state.message === null",
+        ],
+    }));
+    pages.step(0);
+    drop(live);
+    pages.step(1);
+    // The page asks every few seconds at most.
+    std::thread::sleep(Duration::from_secs(2));
+    let live = Live::start(address);
+    pages.step(2);
+    let told = pages.end();
+    assert_eq!(told[0]["state"]["senders"], json!([0]), "{}", told[0]["state"]);
+    drop(live);
+}
+
+/// With `HANDCAST_TEST_PICTURES` this is the README's picture.
+#[test]
+#[ignore = "needs Chromium and node"]
+fn two_people_wave_at_each_other() {
+    let _alone = browser_alone();
+    let server = server();
+    let people = [(Side::Right, 1.0, 0.19), (Side::Left, -1.0, 0.17)];
+    let mut wavers = Vec::new();
+    for (number, (side, towards, length)) in people.into_iter().enumerate() {
+        wavers.push(Waver::start(server.address(), side, towards, length));
+        // In this order they stand beside one another.
+        let begun = Instant::now();
+        while server.counted().senders <= number {
+            assert!(begun.elapsed() < Duration::from_secs(20));
+            std::thread::sleep(Duration::from_millis(10));
+        }
+    }
+    let folder = std::env::var_os("HANDCAST_TEST_PICTURES");
+    // For the picture curves fill their half minute.
+    let seconds = if folder.is_some() { 36 } else { 3 };
+    let shot = folder.map(|folder| path(&Path::new(&folder).join("live-preview.png")).to_owned());
+    let told = Pages::open(&json!({
+        "url": format!("http://{}/hand", server.address()), "seconds": seconds, "patience": 60_000,
+        "pages": [{ "width": 900, "height": 440, "hands": 2, "shot": shot }],
+    }))
+    .end();
+    let state = &told[0]["state"];
+    let hands = state["hands"].as_array().unwrap();
+    let sides: Vec<_> = hands.iter().map(|hand| (&hand["sender"], &hand["side"])).collect();
+    assert_eq!(sides, [(&json!(0), &json!("right")), (&json!(1), &json!("left"))], "{state}");
+    let across = |hand: &Value| hand["wrist"][0].as_f64().unwrap();
+    assert!(across(&hands[0]) < across(&hands[1]), "beside one another: {state}");
+    assert!(hands.iter().all(|hand| hand["valid"] == true && hand["sizes"] == 1), "{state}");
+    let tones: Vec<_> = hands.iter().map(|hand| hand["tone"].clone()).collect();
+    assert_eq!(tones, [tone(Side::Right), tone(Side::Left)], "{state}");
+    assert_eq!(told[0]["messages"], json!([]), "{}", told[0]);
+    wavers.into_iter().for_each(Waver::die);
+}
