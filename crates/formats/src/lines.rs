@@ -10,11 +10,6 @@ pub(crate) fn unmarked(bytes: &[u8]) -> &[u8] {
     bytes.strip_prefix(MARK).unwrap_or(bytes)
 }
 
-/// A word of a file in messages, cut where it is long.
-pub(crate) fn quoted(word: &str) -> String {
-    format!("{:?}", word.chars().take(40).collect::<String>())
-}
-
 /// Reads lines, skips blank ones and a byte order mark, counts them all, and never holds more than its limit.
 pub struct LineReader<R> {
     reader: R,
@@ -101,12 +96,6 @@ impl<R: BufRead> LineReader<R> {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn long_words_are_cut_in_messages() {
-        assert_eq!(quoted("a"), "\"a\"");
-        assert_eq!(quoted(&"é".repeat(1000)), format!("\"{}\"", "é".repeat(40)));
-    }
 
     #[test]
     fn blank_lines_are_skipped_and_counted() {

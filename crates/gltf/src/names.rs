@@ -384,20 +384,9 @@ pub fn meanings<'a>(names: impl IntoIterator<Item = &'a str>) -> Vec<Option<Mean
     reads.into_iter().map(|read| read.and_then(told)).collect()
 }
 
-/// A name in messages, cut where it is long.
-pub(super) fn quoted(name: &str) -> String {
-    format!("{:?}", name.chars().take(40).collect::<String>())
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn long_names_are_cut_in_messages() {
-        assert_eq!(quoted("wrist"), "\"wrist\"");
-        assert_eq!(quoted(&"ä".repeat(1000)), format!("\"{}\"", "ä".repeat(40)));
-    }
 
     #[test]
     fn names_with_a_number_behind_them_are_others_beside_the_name_itself() {

@@ -32,11 +32,11 @@ use self::hand::RigHand;
 pub(super) use self::moved::{FoundPoses, MovedRig, RIG_NODES};
 use super::animation::{Channels, moves};
 use super::export::{check_clip, facts, generator};
-use super::names::{meaning, quoted};
+use super::names::meaning;
 use super::writer::{Writer, glb};
 use super::{Clip, ExportOptions, GltfError, HandTrack};
 use handcast_hand::{Joint, JointAngle, Side, Skeleton};
-use handcast_limits::Limits;
+use handcast_limits::{Limits, quoted};
 
 /// Most bytes of a joint map.
 pub const MAX_MAP_BYTES: usize = 1 << 20;

@@ -10,8 +10,7 @@ use nalgebra::{Quaternion, Similarity3, Translation3, UnitQuaternion, Vector3, V
 
 use super::GltfError;
 use super::keys::Key;
-use super::names::quoted;
-use handcast_limits::{Limit, Limits};
+use handcast_limits::{Limit, Limits, quoted};
 
 /// Between two keys.
 #[derive(Clone, Debug, Default)]

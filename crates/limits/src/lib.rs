@@ -214,9 +214,23 @@ impl Limits {
     }
 }
 
+/// Characters of a word of an input that messages show.
+const SHOWN: usize = 40;
+
+/// A word of an input as messages show it: in quotation marks, with escapes, cut behind 40 characters.
+pub fn quoted(word: &str) -> String {
+    format!("{:?}", word.chars().take(SHOWN).collect::<String>())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn long_words_are_cut_in_messages() {
+        assert_eq!(quoted("wrist\n"), r#""wrist\n""#);
+        assert_eq!(quoted(&"é".repeat(1000)), format!("\"{}\"", "é".repeat(40)));
+    }
 
     #[test]
     fn what_is_allowed_passes_and_what_is_beyond_is_told() {

@@ -38,14 +38,13 @@ use super::{
     skeleton,
 };
 use crate::landmarks::LandmarkClip;
-use crate::lines::quoted;
 use handcast_gltf::JointNames;
 use handcast_hand::clip::MAX_RATE;
 use handcast_hand::turns::{PosesFromTurns, turns_zxy};
 use handcast_hand::{
     ClipHand, Finger, HandFrames, Joint, Morphology, PoseClip, PoseHeader, Side, Skeleton, TimedPose,
 };
-use handcast_limits::{Limit, Limits};
+use handcast_limits::{Limit, Limits, quoted};
 
 /// Its row.
 pub(crate) static FORMAT: Format = Format {

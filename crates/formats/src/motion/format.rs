@@ -27,10 +27,10 @@ use super::{
     stream, vrma,
 };
 use crate::landmarks::{iwer, leap, mano, mediapipe, points, pose_format, still, webxr, xr};
-use crate::lines::{quoted, unmarked};
+use crate::lines::unmarked;
 use crate::poses;
 use handcast_hand::PoseClip;
-use handcast_limits::Limits;
+use handcast_limits::{Limits, quoted};
 
 /// Reads a whole file.
 type Read = fn(&[u8], &Limits) -> Result<Content, ContentError>;

@@ -8,9 +8,10 @@ use serde_json::Value;
 use super::document::RigDocument;
 use super::hand::RigHand;
 use super::{JointMap, RigError, body};
-use crate::names::{Reading, quoted, readings};
+use crate::names::{Reading, readings};
 use handcast_hand::landmarks::tell_side;
 use handcast_hand::{Joint, Side};
+use handcast_limits::quoted;
 
 /// How much better one side must fit than the other for the joints' places to tell them apart.
 const TELLING: f64 = 1.1;

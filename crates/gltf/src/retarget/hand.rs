@@ -5,10 +5,11 @@ use nalgebra::{Matrix3, Rotation3, Similarity3, Translation3, UnitQuaternion, Ve
 use super::document::RigDocument;
 use super::find::{Found, lacking};
 use super::{RigError, body};
-use crate::names::{place, quoted};
+use crate::names::place;
 use handcast_hand::{
     Finger, HandFrames, Joint, JointAngle, Morphology, Side, Skeleton, mirror_rotation, mirror_vector,
 };
+use handcast_limits::quoted;
 
 /// A hand of the rig.
 pub(super) struct RigHand {

@@ -2,11 +2,11 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use handcast_limits::quoted;
 use serde_json::Value;
 
 use super::RigError;
 use super::document::{MAX_ROWS, file, layout, list, number};
-use crate::names::quoted;
 
 /// Most vertices of a primitive.
 const MAX_VERTICES: usize = 4_000_000;

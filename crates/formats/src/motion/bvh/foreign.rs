@@ -10,11 +10,10 @@ use nalgebra::{Isometry3, Point3};
 
 use super::{BvhError, Node, local};
 use crate::landmarks::{LandmarkClip, LandmarkFrame};
-use crate::lines::quoted;
 use handcast_gltf::joints_named;
 use handcast_hand::landmarks::{JointPoints, hand_length};
 use handcast_hand::{Finger, Joint, Side};
-use handcast_limits::Limits;
+use handcast_limits::{Limits, quoted};
 
 /// Length of an end bone over that of the bone before it, where a file does not tell: that of the mean hand.
 const END_BONE: f64 = 0.66;
