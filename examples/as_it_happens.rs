@@ -27,7 +27,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             break;
         }
     }
-    if let Some(plane) = encoder.finish()? {
+    for plane in encoder.finish()? {
         decoder.push(&plane.bytes)?.iter().for_each(show);
     }
     decoder.finish()?.iter().for_each(show);

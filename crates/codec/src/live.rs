@@ -1,7 +1,8 @@
 //! Hands that come and go to the bytes of streams that follow one another, for as long as that takes.
 
 use handcast_fba::plan::{PlanOptions, Target};
-use handcast_hand::{PoseHeader, Side, TimedPose};
+use handcast_fba::syntax::{OBJECT_START, PLANE_START, SEQUENCE_END};
+use handcast_hand::{HandPose, PoseHeader, Side, TimedPose};
 
 use crate::encoder::{PoseEncoder, PoseEncoderOptions};
 use crate::error::PosesToStreamError;
@@ -110,6 +111,8 @@ pub struct LivePoseEncoder {
     current: Option<Current>,
     /// Seconds at which each hand was seen last.
     seen: [Option<f64>; 2],
+    /// The last valid pose of each, which a stream begins with where the hand is lost just then.
+    latest: [Option<HandPose>; 2],
     lost: [bool; 2],
     known: PoseHeader,
     /// Planes that are to be given.
@@ -126,6 +129,7 @@ impl LivePoseEncoder {
             options,
             current: None,
             seen: [None; 2],
+            latest: [None, None],
             lost: [false; 2],
             known: PoseHeader::default(),
             ready: Vec::new(),
@@ -198,8 +202,12 @@ impl LivePoseEncoder {
     fn instant(&mut self, time: f64, poses: &[TimedPose]) -> Result<(), PosesToStreamError> {
         let mut given: [Option<&TimedPose>; 2] = [None; 2];
         for pose in poses.iter().filter(|pose| pose.valid) {
-            given[pose.pose.side as usize].get_or_insert(pose);
-            self.seen[pose.pose.side as usize] = Some(time);
+            let side = pose.pose.side as usize;
+            if given[side].is_none() {
+                given[side] = Some(pose);
+                self.latest[side] = Some(pose.pose.clone());
+            }
+            self.seen[side] = Some(time);
         }
         let hands = self.hands_at(time);
         if hands.is_empty() {
@@ -215,9 +223,9 @@ impl LivePoseEncoder {
             None => self.begin(hands, time)?,
         };
         let mut bytes = Vec::new();
-        let pushed = current.push(time, given, &mut bytes);
+        let pushed = current.push(time, given, &self.latest, &mut bytes);
         self.current = Some(current);
-        self.ready.extend(cut(bytes));
+        self.ready.extend(cut(&bytes));
         pushed
     }
 
@@ -288,25 +296,20 @@ impl LivePoseEncoder {
         }
     }
 
-    /// Ends the stream, and gives what ends it, behind planes that are ready; nothing before a hand has been seen. A hand that
-    /// comes later begins another.
+    /// Ends the stream, and gives what ends it, behind planes that are ready: mostly one; none before a hand has been seen. A
+    /// hand that comes later begins another.
     ///
     /// # Errors
     /// As [`Self::push`]; planes that are ready come with the next call.
-    pub fn finish(&mut self) -> Result<Option<LivePlane>, PosesToStreamError> {
+    pub fn finish(&mut self) -> Result<Vec<LivePlane>, PosesToStreamError> {
         self.end()?;
-        let ready = std::mem::take(&mut self.ready).into_iter();
-        Ok(ready.reduce(|mut all, plane| {
-            all.bytes.extend(plane.bytes);
-            all
-        }))
+        Ok(std::mem::take(&mut self.ready))
     }
 
     /// Ends the stream; what ends it is then ready.
     fn end(&mut self) -> Result<(), PosesToStreamError> {
         let Some(current) = self.current.take() else { return Ok(()) };
-        let bytes = current.encoder.finish()?.bytes;
-        self.ready.push(LivePlane { bytes, opens: false });
+        self.ready.extend(cut(&current.encoder.finish()?.bytes));
         Ok(())
     }
 }
@@ -317,9 +320,13 @@ impl Current {
         &mut self,
         time: f64,
         given: [Option<&TimedPose>; 2],
+        latest: &[Option<HandPose>; 2],
         bytes: &mut Vec<u8>,
     ) -> Result<(), PosesToStreamError> {
         let tick = ((time - self.start) * self.encoder.rate()).round() as u64;
+        // Without a pose of each hand all would wait until there is one.
+        let begun = self.tick.is_some();
+        let held = |side: Side| latest[side as usize].clone().filter(|_| !begun);
         let next = self.tick.map_or(0, |last| last.saturating_add(1));
         if next > tick.saturating_add(AHEAD) {
             return Ok(());
@@ -328,26 +335,43 @@ impl Current {
         self.tick = Some(tick);
         let time = tick as f64 / self.encoder.rate();
         for &side in &self.hands {
-            let pose = given[side as usize].cloned().unwrap_or_else(|| TimedPose::lost(time, side));
+            let pose = given[side as usize].cloned().unwrap_or_else(|| match held(side) {
+                Some(pose) => TimedPose::new(time, pose),
+                None => TimedPose::lost(time, side),
+            });
             bytes.extend(self.encoder.push(&TimedPose { time, ..pose })?);
         }
         Ok(())
     }
 }
 
-/// The planes of an encoder's bytes: before a start code what stands for frames left out in the period before.
-fn cut(bytes: Vec<u8>) -> impl Iterator<Item = LivePlane> {
-    let code = bytes.windows(3).position(|window| window == [0, 0, 1]);
-    let (before, opening) = bytes.split_at(code.unwrap_or(bytes.len()));
-    let planes = [(before.to_vec(), false), (opening.to_vec(), true)];
-    planes.into_iter().filter(|(bytes, _)| !bytes.is_empty()).map(|(bytes, opens)| LivePlane { bytes, opens })
+/// The planes of an encoder's bytes: those of one period together, and before its first start code what stands for frames
+/// left out in the period before. Several periods come at once where a hand is seen late and instants have waited for it.
+fn cut(bytes: &[u8]) -> Vec<LivePlane> {
+    let mut begins = Vec::new();
+    // Whether the next code goes with the one before: headers and records belong to the plane behind them.
+    let mut led = false;
+    for (at, window) in bytes.windows(4).enumerate() {
+        let code = u32::from_be_bytes([window[0], window[1], window[2], window[3]]);
+        if code >> 8 != 1 || code == SEQUENCE_END {
+            continue;
+        }
+        if !std::mem::replace(&mut led, ![OBJECT_START, PLANE_START].contains(&code)) {
+            begins.push(at);
+        }
+    }
+    let ends = begins.iter().copied().skip(1).chain([bytes.len()]);
+    let periods = begins.iter().zip(ends).map(|(&begin, end)| (&bytes[begin..end], true));
+    let before = (&bytes[..begins.first().copied().unwrap_or(bytes.len())], false);
+    let planes = std::iter::once(before).chain(periods).filter(|(bytes, _)| !bytes.is_empty());
+    planes.map(|(bytes, opens)| LivePlane { bytes: bytes.to_vec(), opens }).collect()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::{PoseDecoder, PoseDecoderOptions};
-    use handcast_hand::{ClipHand, HandPose, JointAngle, Morphology};
+    use handcast_hand::{ClipHand, JointAngle, Morphology};
 
     fn pose(side: Side, time: f64, bend: f64) -> TimedPose {
         TimedPose::new(time, HandPose::neutral(side).with_degrees(JointAngle::Index1Flexion, bend))
@@ -446,8 +470,11 @@ mod tests {
             waited.push(bent(5.0));
             assert!(encoder.push(5.0, &waited, &known).is_err());
             if ended {
-                shown.extend(decoder.push(&encoder.finish().unwrap().unwrap().bytes).unwrap());
-                assert!(encoder.finish().unwrap().is_none());
+                for plane in encoder.finish().unwrap() {
+                    assert_eq!(plane.opens, plane.bytes.starts_with(&[0, 0, 1]));
+                    shown.extend(decoder.push(&plane.bytes).unwrap());
+                }
+                assert!(encoder.finish().unwrap().is_empty());
             } else {
                 for plane in encoder.push(5.1, &[pose(Side::Left, 5.1, 3.0)], &known).unwrap() {
                     shown.extend(decoder.push_whole(&plane.bytes).unwrap());
@@ -456,6 +483,74 @@ mod tests {
             let last = shown.last().map_or(0.0, |pose| pose.time);
             assert!(shown.len() >= 150 && last > 4.9, "{} up to {last} s", shown.len());
         }
+    }
+
+    /// A tone that becomes known begins another stream while one hand is away: nobody waits for that hand.
+    #[test]
+    fn a_stream_that_begins_while_a_hand_is_away_opens_at_once() {
+        let mut encoder = LivePoseEncoder::new(LivePoseEncoderOptions::default());
+        let mut decoder = PoseDecoder::new(PoseDecoderOptions::default());
+        for frame in 0..60 {
+            let time = f64::from(frame) / 30.0;
+            let bend = f64::from(frame);
+            let both = [pose(Side::Left, time, bend), pose(Side::Right, time, 40.0)];
+            let poses = if frame < 30 { &both[..] } else { &both[..1] };
+            let known = PoseHeader { skin_tone: (frame >= 40).then_some(4), ..PoseHeader::default() };
+            let planes = encoder.push(time, poses, &known).unwrap();
+            if frame == 40 {
+                assert_eq!(planes.iter().map(|plane| plane.opens).collect::<Vec<_>>(), [false, true]);
+            }
+            let shown: Vec<_> =
+                planes.iter().flat_map(|plane| decoder.push_whole(&plane.bytes).unwrap()).collect();
+            let [left, right] = [Side::Left, Side::Right]
+                .map(|side| shown.iter().filter(|pose| pose.pose.side == side).count());
+            assert!(frame != 40 || (left, right) == (1, 1), "{left}, {right}");
+            let right = shown.iter().filter(|pose| pose.pose.side == Side::Right);
+            for pose in right {
+                let off = pose.pose.angle(JointAngle::Index1Flexion).to_degrees() - 40.0;
+                assert!(off.abs() < 1.0, "{frame}: {off}");
+            }
+            assert_eq!(encoder.lost(), [false, frame >= 30]);
+        }
+    }
+
+    /// What a consumer begins at begins a period, also among planes that waited for the end.
+    #[test]
+    fn planes_that_wait_for_the_end_keep_to_their_periods() {
+        let own = LivePoseEncoderOptions::default();
+        let plan = PlanOptions { intra_seconds: 2.0, ..own.plan };
+        let mut encoder = LivePoseEncoder::new(own.with_plan(plan));
+        let known = PoseHeader::default();
+        // Instants that came in one push, the last of which cannot be coded.
+        let mut waited: Vec<TimedPose> =
+            (0..400).map(|n| pose(Side::Left, f64::from(n) / 30.0, f64::from(n % 40))).collect();
+        waited.push(pose(Side::Left, 14.0, 1e9));
+        assert!(encoder.push(14.0, &waited, &known).is_err());
+        let planes = encoder.finish().unwrap();
+        let opening = planes.iter().filter(|plane| plane.opens).count();
+        assert!((5..=12).contains(&opening), "{opening}");
+        assert!(planes[0].opens && planes[planes.len() - 1].bytes.ends_with(&[0, 0, 1, 0xb1]));
+        for plane in planes.iter().filter(|plane| plane.opens) {
+            let mut decoder = PoseDecoder::new(PoseDecoderOptions::default());
+            assert!(!decoder.push_whole(&plane.bytes).unwrap().is_empty());
+        }
+    }
+
+    #[test]
+    fn bytes_are_cut_where_periods_begin() {
+        let plane = |code: u8| [&[0, 0, 1, code][..], &[7; 5]].concat();
+        let told = |bytes: &[u8]| -> Vec<(usize, bool)> {
+            cut(bytes).iter().map(|plane| (plane.bytes.len(), plane.opens)).collect()
+        };
+        let header = [plane(0xb0), plane(0xb2), plane(0xb5), plane(0xba)].concat();
+        let noted = [plane(0xb2), plane(0xbb)].concat();
+        assert_eq!(told(&[]), []);
+        assert_eq!(told(&[7; 3]), [(3, false)]);
+        assert_eq!(told(&plane(0xb1)), [(9, false)]);
+        assert_eq!(told(&header), [(36, true)]);
+        assert_eq!(told(&[&[7; 3], &noted[..], &noted].concat()), [(3, false), (18, true), (18, true)]);
+        let whole = [header, plane(0xbb), noted, plane(0xb1), plane(0xba)].concat();
+        assert_eq!(told(&whole), [(36, true), (9, true), (27, true), (9, true)]);
     }
 
     #[test]
@@ -500,8 +595,8 @@ mod tests {
         encoder.push(0.0, &[pose(Side::Left, 0.0, 10.0)], &known).unwrap();
         let record = encoder.record().to_vec();
         assert!(!record.is_empty());
-        encoder.finish().unwrap().unwrap();
-        assert!(encoder.record().is_empty() && encoder.finish().unwrap().is_none());
+        assert_eq!(encoder.finish().unwrap().len(), 1);
+        assert!(encoder.record().is_empty() && encoder.finish().unwrap().is_empty());
         encoder.push(0.1, &[pose(Side::Left, 0.1, 10.0)], &PoseHeader::default()).unwrap();
         assert_eq!(encoder.record(), record);
     }

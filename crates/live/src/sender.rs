@@ -98,13 +98,13 @@ impl PoseSender {
         self.encoder.request_intra();
     }
 
-    /// Ends the stream: gives its last plane.
+    /// Ends the stream: gives its last planes.
     ///
     /// # Errors
     /// As [`Self::push`].
-    pub fn finish(&mut self, time_ms: u32) -> Result<Option<Plane>, PosesToStreamError> {
-        let end = self.encoder.finish()?;
-        Ok(end.and_then(|end| self.plane(end, time_ms)))
+    pub fn finish(&mut self, time_ms: u32) -> Result<Vec<Plane>, PosesToStreamError> {
+        let made = self.encoder.finish()?;
+        Ok(made.into_iter().filter_map(|made| self.plane(made, time_ms)).collect())
     }
 }
 
@@ -233,7 +233,7 @@ mod tests {
         let mut sender = PoseSender::new(LivePoseEncoderOptions::default());
         assert!(push(&mut sender, 0, &[]).is_empty());
         assert!(push(&mut sender, 1, &[TimedPose::lost(0.0, Side::Left)]).is_empty());
-        assert!(sender.take_hello().is_none() && sender.finish(0).unwrap().is_none());
+        assert!(sender.take_hello().is_none() && sender.finish(0).unwrap().is_empty());
     }
 
     /// The record of the first stream has no tone; once it is known another begins at once, and later ones wait.

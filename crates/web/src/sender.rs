@@ -186,8 +186,7 @@ impl VideoSender {
     /// Text for people, where the stream cannot be ended.
     pub fn finish(&mut self) -> Result<Sent, String> {
         let capture = self.times.map_or(0.0, |[_, last]| last);
-        let end = self.sender.finish(room_time(capture)).map_err(|error| error.to_string())?;
-        let planes: Vec<Plane> = end.into_iter().collect();
+        let planes = self.sender.finish(room_time(capture)).map_err(|error| error.to_string())?;
         let messages = planes.iter().map(|plane| Message::Plane(plane.clone()).bytes()).collect();
         Ok(Sent { planes, messages, ..Sent::default() })
     }

@@ -158,9 +158,9 @@ impl Worker {
     pub fn finish(&mut self, publisher: &mut impl Publish) -> Finished {
         let (end, ended) = match self.sender.finish(self.last.1) {
             Ok(end) => (end, Ok(())),
-            Err(error) => (None, Err(error.into())),
+            Err(error) => (Vec::new(), Err(error.into())),
         };
-        let published = self.publish(end.into_iter().collect(), publisher);
+        let published = self.publish(end, publisher);
         let published = ended.and(published).and_then(|()| self.send(1, publisher));
         let recorded = self.recording.take().map_or(Ok(()), Recording::finish);
         let whole = self.cut.take().map_or(Ok(()), |error| Err(error.context("the recording is cut")));
