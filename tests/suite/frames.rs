@@ -249,26 +249,52 @@ fn addresses_without_the_helper_program_say_so() {
     }
 }
 
-#[test]
-#[ignore = "needs ffmpeg"]
-fn what_is_at_an_address_is_read_through_the_helper_program() {
+/// A server of the web, until the test ends, that gives files as a whole alone.
+fn served(file: impl Fn(&str) -> Option<Vec<u8>> + Send + 'static) -> std::net::SocketAddr {
     use std::io::{Read, Write};
     let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
     let address = listener.local_addr().unwrap();
-    let clip = fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/fixtures/demo.avi")).unwrap();
-    // Until the test ends: the helper program may ask more than once.
+    // The helper program may ask more than once.
     std::thread::spawn(move || {
         for stream in listener.incoming() {
             let mut stream = stream.unwrap();
             let mut request = [0; 4096];
             let length = stream.read(&mut request).unwrap_or(0);
-            let found = String::from_utf8_lossy(&request[..length]).starts_with("GET /demo.avi ");
-            let (status, body) =
-                if found { ("200 OK", clip.as_slice()) } else { ("404 Not Found", &b""[..]) };
+            let request = String::from_utf8_lossy(&request[..length]);
+            let found = request.strip_prefix("GET /").and_then(|rest| file(rest.split(' ').next()?));
+            let status = if found.is_some() { "200 OK" } else { "404 Not Found" };
+            let body = found.unwrap_or_default();
             let head =
                 format!("HTTP/1.1 {status}\r\nContent-Length: {}\r\nConnection: close\r\n\r\n", body.len());
-            let _ = stream.write_all(head.as_bytes()).and_then(|()| stream.write_all(body));
+            let _ = stream.write_all(head.as_bytes()).and_then(|()| stream.write_all(&body));
         }
+    });
+    address
+}
+
+#[test]
+#[ignore = "needs ffmpeg"]
+fn a_server_that_gives_whole_files_alone_is_told_where_tables_are_last() {
+    let dir = tempfile::tempdir().unwrap();
+    let made = |name: &str, flags: &str| {
+        let path = dir.path().join(name);
+        made_by_ffmpeg(&path, "testsrc=size=320x240:rate=25:duration=4", &["-movflags", flags]);
+        path
+    };
+    let (first, last) = (made("first.mp4", "+faststart"), made("last.mp4", "0"));
+    let address = served(move |name| fs::read(if name == "first.mp4" { &first } else { &last }).ok());
+    let open = |name: &str| open(format!("http://{address}/{name}"), &OpenOptions::default());
+    assert_eq!(all(open("first.mp4").unwrap()).unwrap().len(), 100);
+    let said = open("last.mp4").err().expect("tables at the end").to_string();
+    assert!(said.contains("last.mp4") && said.contains("tables") && said.contains("download"), "{said}");
+}
+
+#[test]
+#[ignore = "needs ffmpeg"]
+fn what_is_at_an_address_is_read_through_the_helper_program() {
+    let address = served(|name| {
+        let clip = concat!(env!("CARGO_MANIFEST_DIR"), "/fixtures/demo.avi");
+        (name == "demo.avi").then(|| fs::read(clip).unwrap())
     });
     let source = open(format!("http://{address}/demo.avi"), &OpenOptions::default()).unwrap();
     assert_eq!(source.info().format, "web through ffmpeg");

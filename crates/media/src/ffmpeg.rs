@@ -246,13 +246,10 @@ impl Helper {
     fn failure(&mut self, otherwise: &str) -> FrameError {
         self.stop();
         let said = self.messages.take().and_then(|thread| thread.join().ok()).unwrap_or_default();
-        // What follows an error may be advice on how to call the program.
-        let advice = |line: &&str| line.starts_with("To ignore this");
-        let last = said.lines().rfind(|line| !advice(line)).unwrap_or_default();
         FrameError::Helper {
             path: self.path.clone(),
             program: self.program.clone(),
-            message: if last.is_empty() { otherwise.to_owned() } else { last.to_owned() },
+            message: reason(&said).unwrap_or(otherwise).to_owned(),
         }
     }
 
@@ -281,6 +278,21 @@ impl Drop for Helper {
     fn drop(&mut self) {
         self.stop();
     }
+}
+
+/// Why the program failed, by what it said; none where it said nothing.
+fn reason(said: &str) -> Option<&str> {
+    // It has read up to the tables, and cannot go back to the pictures; what it says last does not tell that.
+    let ahead = ["partial file", "Stream ends prematurely"].iter().all(|words| said.contains(words));
+    if ahead {
+        return Some(
+            "it could not go back to the pictures: the tables of this MP4 or MOV file are at its end, and the server does \
+             not give parts of files (or went away); download the file first, or have its tables at its beginning (ffmpeg \
+             -i FILE -c copy -movflags +faststart NEW)",
+        );
+    }
+    // What follows an error may be advice on how to call the program.
+    said.lines().rfind(|line| !line.is_empty() && !line.starts_with("To ignore this"))
 }
 
 struct FfmpegSource {
@@ -316,5 +328,20 @@ impl FrameSource for FfmpegSource {
 
     fn shortfall(&self) -> Option<String> {
         self.helper.said.clone()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::reason;
+
+    #[test]
+    fn reasons_are_what_was_said_last_or_what_it_means() {
+        assert_eq!(reason(""), None);
+        assert_eq!(reason("one\ntwo\nTo ignore this, add a '?'"), Some("two"));
+        let said = "[mov,mp4 @ 0x55] stream 0, offset 0x30: partial file\n\
+                    [http @ 0x55] Stream ends prematurely at 48, should be 493471\n\
+                    Error marking filters as finished";
+        assert!(reason(said).is_some_and(|said| said.contains("tables") && said.contains("+faststart")));
     }
 }
