@@ -321,10 +321,7 @@ fn encoded(
     if !args.quiet {
         warn_of_uneven_times(&clip, encoder.rate());
     }
-    let mut stream = Vec::new();
-    for pose in poses_on_ticks(&clip, encoder.rate()) {
-        stream.extend(encoder.push(&pose)?);
-    }
+    let mut stream = encoder.push_all(poses_on_ticks(&clip, encoder.rate()))?;
     drop(clip);
     let bar = busy(!args.quiet && !args.json, "encoding");
     let end = encoder.finish()?;

@@ -36,18 +36,15 @@ pub fn bap_frames(clip: &PoseClip, profile: Profile) -> Result<Vec<TimedBapFrame
     let start = order.first().map_or(0.0, |f| f.time);
     let mut holder = Holder::new(&hands_of(clip), profile);
     let mut frames = Vec::new();
-    let mut push = |ready: &Ready<'_>| {
-        frames.push(ready.frame);
-        Ok(())
-    };
+    let mut push = |ready: Ready<'_>| frames.push(ready.frame);
     for group in order.chunk_by(|a, b| b.time - a.time < 1e-6) {
         let mut moment = Moment::at(group[0].time - start);
         for timed in group.iter().filter(|f| f.valid) {
             moment.poses[timed.pose.side as usize] = Some(Box::new(timed.pose.clone()));
         }
-        holder.take(moment, &mut push)?;
+        holder.take(moment, &mut push);
     }
-    holder.settle(&mut push)?;
+    holder.settle(&mut push);
     if holder.is_complete() {
         Ok(frames)
     } else {
@@ -84,7 +81,7 @@ pub fn on_ticks(clip: &PoseClip, rate: f64) -> PoseClip {
 }
 
 /// The poses of [`on_ticks`] one by one, in order of time: as a [`PoseEncoder`] takes them.
-pub fn poses_on_ticks(clip: &PoseClip, rate: f64) -> impl Iterator<Item = TimedPose> + '_ {
+pub fn poses_on_ticks(clip: &PoseClip, rate: f64) -> impl Iterator<Item = TimedPose> + Send + '_ {
     let [mut left, mut right] =
         [Side::Left, Side::Right].map(|side| track_on_ticks(clip, side, rate).peekable());
     std::iter::from_fn(move || match (left.peek(), right.peek()) {
@@ -119,7 +116,7 @@ fn own_ticks_of(clip: &PoseClip, side: Side, rate: f64) -> Result<Vec<Option<f64
 }
 
 /// The poses of one hand on the ticks.
-fn track_on_ticks(clip: &PoseClip, side: Side, rate: f64) -> Box<dyn Iterator<Item = TimedPose> + '_> {
+fn track_on_ticks(clip: &PoseClip, side: Side, rate: f64) -> Box<dyn Iterator<Item = TimedPose> + Send + '_> {
     let ticks = match own_ticks_of(clip, side, rate) {
         Ok(own) => {
             let placed = clip.of(side).zip(own);
@@ -198,10 +195,7 @@ pub fn encode_poses(
     if seconds * encoder.rate() >= MAX_FRAMES as f64 {
         return Err(PosesToStreamError::Span { seconds, rate: encoder.rate() });
     }
-    let mut stream = Vec::new();
-    for pose in poses_on_ticks(clip, encoder.rate()) {
-        stream.extend(encoder.push(&pose)?);
-    }
+    let mut stream = encoder.push_all(poses_on_ticks(clip, encoder.rate()))?;
     let clip = on_ticks(clip, encoder.rate());
     let end = encoder.finish()?;
     stream.extend(end.bytes);

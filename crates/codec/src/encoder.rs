@@ -1,6 +1,7 @@
 //! Poses that come one by one to the bytes of a stream.
 
-use handcast_fba::bap::BapMask;
+use handcast_fba::bap::{BapFrame, BapMask};
+use handcast_fba::plan::share::both;
 use handcast_fba::plan::{ClipEncoder, PlanOptions, PlanReport, Target, TimedBapFrame};
 use handcast_fba::{EncodeError, FrameRate};
 use handcast_hand::{ClipHand, HandPose, PoseClip, Side, TimedPose};
@@ -128,26 +129,13 @@ type Finished = (Vec<u8>, PlanReport, Option<TipError>);
 /// ```
 #[derive(Clone, Debug)]
 pub struct PoseEncoder {
+    front: Front,
     encoder: ClipEncoder,
-    holder: Holder,
-    /// Frames per second.
-    rate: f64,
-    /// Time of the first pose, seconds.
-    start: Option<f64>,
-    /// The tick that more poses may come for, and the hands whose poses have.
-    moment: Option<(f64, Moment)>,
-    given: [bool; 2],
-    /// Time of the last pose of each hand, and the latest tick of any.
-    last: [Option<f64>; 2],
-    latest: Option<f64>,
-    /// Poses given, those refused included, and those that were not.
-    offered: usize,
-    poses: usize,
+    back: Back,
+    /// Frames of the pose in hand.
+    frames: Vec<Frame>,
     /// Bytes to be handed out.
     bytes: Vec<u8>,
-    meter: TipMeter,
-    /// What rounding takes from each frame that waits for the end.
-    places: Vec<Places>,
     /// Millimetres that fingertips may be off, where plans are tried until they are not.
     tip_mm: Option<f64>,
 }
@@ -180,24 +168,13 @@ impl PoseEncoder {
             let sizes: Vec<ClipHand> = options.sizes.iter().filter(told).cloned().collect();
             plan.record = record_of(&sizes, options.skin_tone);
         }
-        let encoder = ClipEncoder::new(&plan)?;
         let meter = TipMeter::new(options.profile, &options.sizes, &plan.record);
-        let holder = Holder::new(&options.hands, options.profile);
-        let rate = rate.per_second();
         Ok(Self {
-            encoder,
-            holder,
-            rate,
-            start: None,
-            moment: None,
-            given: [false; 2],
-            last: [None; 2],
-            latest: None,
-            offered: 0,
-            poses: 0,
+            front: Front::new(Holder::new(&options.hands, options.profile), rate.per_second()),
+            encoder: ClipEncoder::new(&plan)?,
+            back: Back { meter, places: Vec::new() },
+            frames: Vec::new(),
             bytes: Vec::new(),
-            meter,
-            places: Vec::new(),
             tip_mm: match plan.mode {
                 Target::TipError(mm) if !plan.live => Some(mm),
                 _ => None,
@@ -236,48 +213,55 @@ impl PoseEncoder {
 
     /// Frames per second of the stream.
     pub fn rate(&self) -> f64 {
-        self.rate
+        self.front.rate
     }
 
     /// Takes the next pose and gives the bytes that are ready. Poses come in order of time, those of two hands in any
-    /// order within a tick. Of poses that come faster than the stream's ticks those for which there is none are left out. Live, the last bits of a plane may share a byte with the plane after it, and come with
-    /// that, unless [`PlanOptions::aligned`].
+    /// order within a tick. Of poses that come faster than the stream's ticks those for which there is none are left out.
+    /// Live, the last bits of a plane may share a byte with the plane after it, and come with that, unless
+    /// [`PlanOptions::aligned`].
     ///
     /// # Errors
     /// A pose of a hand that was not announced, a time that goes back or on too far, live a value that cannot be
     /// coded: that tick is left out. Bytes that are ready come with the next call; the encoder stays usable.
     pub fn push(&mut self, pose: &TimedPose) -> Result<Vec<u8>, PosesToStreamError> {
-        let side = pose.pose.side;
-        if !self.holder.has(side) {
-            return Err(PosesToStreamError::Hand { side });
+        self.front.take(pose, &mut self.frames)?;
+        self.code()?;
+        Ok(std::mem::take(&mut self.bytes))
+    }
+
+    /// Takes all poses of a clip and gives the bytes that are ready: the same as [`Self::push`] of one behind the other. Poses
+    /// become frames, and fingertips are measured, on another core than the one that codes.
+    ///
+    /// # Errors
+    /// As [`Self::push`]; poses behind one that is refused are not taken.
+    pub fn push_all(
+        &mut self,
+        poses: impl IntoIterator<Item = TimedPose, IntoIter: Send>,
+    ) -> Result<Vec<u8>, PosesToStreamError> {
+        let mut poses = poses.into_iter();
+        let (mut next, mut current, mut coded): (Vec<Frame>, Vec<Frame>, Vec<Frame>) = Default::default();
+        let mut more: Result<bool, PosesToStreamError> = Ok(true);
+        loop {
+            let Self { front, encoder, back, bytes, .. } = self;
+            let filling = matches!(more, Ok(true));
+            let (filled, written) = both(
+                || {
+                    coded.drain(..).for_each(|frame| back.note(&frame));
+                    if filling { front.fill(&mut poses, &mut next) } else { Ok(false) }
+                },
+                || code(encoder, &mut current, bytes),
+            );
+            written?;
+            if filling {
+                more = filled;
+            } else if current.is_empty() {
+                break;
+            }
+            std::mem::swap(&mut coded, &mut current);
+            std::mem::swap(&mut current, &mut next);
         }
-        let index = self.offered;
-        self.offered += 1;
-        PosesToStreamError::check(index, pose)?;
-        self.poses += 1;
-        let time = pose.time - *self.start.get_or_insert(pose.time);
-        let tick = (time * self.rate).round();
-        let before = self.last[side as usize];
-        if before.is_some_and(|before| pose.time < before) || self.latest.is_some_and(|latest| tick < latest)
-        {
-            let before = self.last.iter().flatten().copied().reduce(f64::max);
-            return Err(PosesToStreamError::Time { what: "pose", index, time: pose.time, before });
-        }
-        if self.latest.is_some_and(|latest| tick - latest > handcast_fba::plan::MAX_GAP as f64) {
-            let allowed = "times at most 65535 ticks after that of the pose before";
-            return Err(EncodeError::Time { frame: index as u64, time: pose.time, allowed }.into());
-        }
-        self.last[side as usize] = Some(pose.time);
-        self.latest = Some(tick);
-        let new = self.given[side as usize] || self.moment.as_ref().is_some_and(|(at, _)| *at != tick);
-        let ended = if new { self.end_moment() } else { Ok(()) };
-        let (_, moment) = self.moment.get_or_insert_with(|| (tick, Moment::at(time)));
-        if pose.valid {
-            moment.poses[side as usize] = Some(Box::new(pose.pose.clone()));
-        }
-        self.given[side as usize] = true;
-        let complete = self.given == self.holder.hands;
-        ended.and(if complete { self.end_moment() } else { Ok(()) })?;
+        more?;
         Ok(std::mem::take(&mut self.bytes))
     }
 
@@ -287,32 +271,11 @@ impl PoseEncoder {
         self.encoder.request_intra();
     }
 
-    /// No more poses come for the tick that is being filled.
-    fn end_moment(&mut self) -> Result<(), EncodeError> {
-        self.given = [false; 2];
-        let Some((_, moment)) = self.moment.take() else { return Ok(()) };
-        self.emit(|holder, emit| holder.take(moment, emit))
-    }
-
-    /// Encodes the frames that `ready` hands out.
-    fn emit(
-        &mut self,
-        ready: impl FnOnce(&mut Holder, &mut Emit<'_>) -> Result<(), EncodeError>,
-    ) -> Result<(), EncodeError> {
-        let Self { holder, encoder, meter, places, bytes, .. } = self;
-        let profile = holder.profile;
-        ready(holder, &mut |Ready { frame, held, poses }| {
-            if encoder.is_ahead(frame.time) {
-                return Ok(());
-            }
-            bytes.extend(encoder.push_held(frame, held)?);
-            let place = Places::new(poses, &frame.baps, profile);
-            match encoder.reconstruction() {
-                Some(coded) => meter.add(&place, [&frame.baps.without(held), coded]),
-                None => places.push(place),
-            }
-            Ok(())
-        })
+    /// Codes the frames in hand, and measures how far off they are.
+    fn code(&mut self) -> Result<(), EncodeError> {
+        let written = code(&mut self.encoder, &mut self.frames, &mut self.bytes);
+        self.frames.drain(..).for_each(|frame| self.back.note(&frame));
+        written
     }
 
     /// Ends the stream. Of two hands one that has had no valid pose is left out.
@@ -320,14 +283,16 @@ impl PoseEncoder {
     /// # Errors
     /// [`PosesToStreamError::Empty`] when no hand has had a valid pose; with look-ahead, a value that cannot be coded.
     pub fn finish(mut self) -> Result<EncodedEnd, PosesToStreamError> {
-        self.end_moment()?;
-        self.emit(Holder::settle)?;
-        if !self.holder.is_complete() {
-            return Err(PosesToStreamError::Empty { frames: self.poses });
+        self.front.end_moment(&mut self.frames);
+        self.code()?;
+        self.front.settle(&mut self.frames);
+        self.code()?;
+        if !self.front.holder.is_complete() {
+            return Err(PosesToStreamError::Empty { frames: self.front.poses });
         }
         let (rest, report, tips) = match self.tip_mm {
             Some(mm) => self.aimed(mm)?,
-            None => finished(self.encoder, self.meter, &self.places)?,
+            None => finished(self.encoder, self.back)?,
         };
         self.bytes.extend(rest);
         Ok(EncodedEnd { bytes: self.bytes, report, tips })
@@ -340,7 +305,7 @@ impl PoseEncoder {
         let mut bounds = [0.0, f64::INFINITY];
         for _ in 0..TIP_TRIES {
             let aimed = self.encoder.aimed_at(Target::MaxError(degrees))?;
-            let tried = finished(aimed, self.meter.clone(), &self.places);
+            let tried = finished(aimed, self.back.clone());
             let tried = match (tried, best.is_some()) {
                 // Finer than any quantiser.
                 (Err(_), true) => break,
@@ -369,7 +334,8 @@ impl PoseEncoder {
     }
 }
 
-fn finished(encoder: ClipEncoder, mut meter: TipMeter, places: &[Places]) -> Result<Finished, EncodeError> {
+fn finished(encoder: ClipEncoder, back: Back) -> Result<Finished, EncodeError> {
+    let Back { mut meter, places } = back;
     let none = &meter;
     let (rest, report, compared) = encoder.finish_compared(|first, frames| {
         let mut meter = none.clone();
@@ -381,6 +347,161 @@ fn finished(encoder: ClipEncoder, mut meter: TipMeter, places: &[Places]) -> Res
     Ok((rest, report, meter.error()))
 }
 
+/// A frame on its way through an encoder.
+#[derive(Clone, Debug)]
+struct Frame {
+    given: TimedBapFrame,
+    /// Values of hands that have no valid pose then.
+    held: BapMask,
+    /// What rounding took.
+    place: Places,
+    /// What a decoder has of it, once it is coded; none where it waits for the end.
+    coded: Option<BapFrame>,
+}
+
+/// Codes frames, and leaves out those for which there is no tick and those that cannot be coded, which do not keep others from
+/// it; the first of them is the error.
+fn code(encoder: &mut ClipEncoder, frames: &mut Vec<Frame>, bytes: &mut Vec<u8>) -> Result<(), EncodeError> {
+    let mut first = None;
+    frames.retain_mut(|frame| {
+        if encoder.is_ahead(frame.given.time) {
+            return false;
+        }
+        match encoder.push_held(&frame.given, &frame.held) {
+            Ok(ready) => bytes.extend(ready),
+            Err(error) => {
+                first.get_or_insert(error);
+                return false;
+            }
+        }
+        frame.coded = encoder.reconstruction().copied();
+        true
+    });
+    first.map_or(Ok(()), Err)
+}
+
+/// What becomes of frames behind the encoder.
+#[derive(Clone, Debug)]
+struct Back {
+    meter: TipMeter,
+    /// What rounding takes from each frame that waits for the end.
+    places: Vec<Places>,
+}
+
+impl Back {
+    fn note(&mut self, frame: &Frame) {
+        let Frame { given, held, place, coded } = frame;
+        match coded {
+            Some(coded) => self.meter.add(place, [&given.baps.without(held), coded]),
+            None => self.places.push(*place),
+        }
+    }
+}
+
+/// Poses that are made frames of at a time, while as many are coded.
+const BATCH: usize = 256;
+
+/// Makes frames of poses.
+#[derive(Clone, Debug)]
+struct Front {
+    holder: Holder,
+    /// Frames per second.
+    rate: f64,
+    /// Time of the first pose, seconds.
+    start: Option<f64>,
+    /// The tick that more poses may come for, and the hands whose poses have.
+    moment: Option<(f64, Moment)>,
+    given: [bool; 2],
+    /// Time of the last pose of each hand, and the latest tick of any.
+    last: [Option<f64>; 2],
+    latest: Option<f64>,
+    /// Poses given, those refused included, and those that were not.
+    offered: usize,
+    poses: usize,
+}
+
+impl Front {
+    fn new(holder: Holder, rate: f64) -> Self {
+        Self {
+            holder,
+            rate,
+            start: None,
+            moment: None,
+            given: [false; 2],
+            last: [None; 2],
+            latest: None,
+            offered: 0,
+            poses: 0,
+        }
+    }
+
+    /// Takes the next poses, and adds the frames that are known with them; false behind the last one.
+    fn fill(
+        &mut self,
+        poses: &mut impl Iterator<Item = TimedPose>,
+        frames: &mut Vec<Frame>,
+    ) -> Result<bool, PosesToStreamError> {
+        for _ in 0..BATCH {
+            let Some(pose) = poses.next() else { return Ok(false) };
+            self.take(&pose, frames)?;
+        }
+        Ok(true)
+    }
+
+    /// Takes the next pose, and adds the frames that are known with it.
+    fn take(&mut self, pose: &TimedPose, frames: &mut Vec<Frame>) -> Result<(), PosesToStreamError> {
+        let side = pose.pose.side;
+        if !self.holder.has(side) {
+            return Err(PosesToStreamError::Hand { side });
+        }
+        let index = self.offered;
+        self.offered += 1;
+        PosesToStreamError::check(index, pose)?;
+        self.poses += 1;
+        let time = pose.time - *self.start.get_or_insert(pose.time);
+        let tick = (time * self.rate).round();
+        let before = self.last[side as usize];
+        if before.is_some_and(|before| pose.time < before) || self.latest.is_some_and(|latest| tick < latest)
+        {
+            let before = self.last.iter().flatten().copied().reduce(f64::max);
+            return Err(PosesToStreamError::Time { what: "pose", index, time: pose.time, before });
+        }
+        if self.latest.is_some_and(|latest| tick - latest > handcast_fba::plan::MAX_GAP as f64) {
+            let allowed = "times at most 65535 ticks after that of the pose before";
+            return Err(EncodeError::Time { frame: index as u64, time: pose.time, allowed }.into());
+        }
+        self.last[side as usize] = Some(pose.time);
+        self.latest = Some(tick);
+        if self.given[side as usize] || self.moment.as_ref().is_some_and(|(at, _)| *at != tick) {
+            self.end_moment(frames);
+        }
+        let (_, moment) = self.moment.get_or_insert_with(|| (tick, Moment::at(time)));
+        if pose.valid {
+            moment.poses[side as usize] = Some(Box::new(pose.pose.clone()));
+        }
+        self.given[side as usize] = true;
+        if self.given == self.holder.hands {
+            self.end_moment(frames);
+        }
+        Ok(())
+    }
+
+    /// No more poses come for the tick that is being filled.
+    fn end_moment(&mut self, frames: &mut Vec<Frame>) {
+        self.given = [false; 2];
+        if let Some((_, moment)) = self.moment.take() {
+            let profile = self.holder.profile;
+            self.holder.take(moment, &mut |ready: Ready<'_>| frames.push(ready.into_frame(profile)));
+        }
+    }
+
+    /// No more poses come.
+    fn settle(&mut self, frames: &mut Vec<Frame>) {
+        let profile = self.holder.profile;
+        self.holder.settle(&mut |ready: Ready<'_>| frames.push(ready.into_frame(profile)));
+    }
+}
+
 /// A frame that is known.
 pub(crate) struct Ready<'a> {
     pub frame: TimedBapFrame,
@@ -390,8 +511,15 @@ pub(crate) struct Ready<'a> {
     poses: &'a [HandPose],
 }
 
+impl Ready<'_> {
+    fn into_frame(self, profile: Profile) -> Frame {
+        let Self { frame: given, held, poses } = self;
+        Frame { place: Places::new(poses, &given.baps, profile), given, held, coded: None }
+    }
+}
+
 /// What takes frames as they become known.
-type Emit<'a> = dyn FnMut(&Ready<'_>) -> Result<(), EncodeError> + 'a;
+type Emit<'a> = dyn FnMut(Ready<'_>) + 'a;
 
 /// An instant, and the valid poses of it, left and right.
 #[derive(Clone, Debug)]
@@ -445,9 +573,9 @@ impl Holder {
     }
 
     /// Takes the next instant, and hands the frames that are known to `emit`, in order.
-    pub fn take(&mut self, moment: Moment, emit: &mut Emit<'_>) -> Result<(), EncodeError> {
+    pub fn take(&mut self, moment: Moment, emit: &mut Emit<'_>) {
         if self.is_complete() {
-            return emit(&self.frame(moment));
+            return emit(self.frame(moment));
         }
         for (first, pose) in self.first.iter_mut().zip(&moment.poses) {
             if first.is_none() {
@@ -456,31 +584,23 @@ impl Holder {
         }
         self.waiting.push(moment);
         if (0..2).all(|hand| self.hands[hand] == self.first[hand].is_some()) {
-            self.begin(emit)
-        } else {
-            Ok(())
+            self.begin(emit);
         }
     }
 
     /// No more instants come: goes without a hand that has had no valid pose, where there is another one.
-    pub fn settle(&mut self, emit: &mut Emit<'_>) -> Result<(), EncodeError> {
-        if self.is_complete() {
-            return Ok(());
+    pub fn settle(&mut self, emit: &mut Emit<'_>) {
+        if !self.is_complete() {
+            self.hands = self.first.each_ref().map(Option::is_some);
+            self.begin(emit);
         }
-        self.hands = self.first.each_ref().map(Option::is_some);
-        self.begin(emit)
     }
 
-    fn begin(&mut self, emit: &mut Emit<'_>) -> Result<(), EncodeError> {
+    fn begin(&mut self, emit: &mut Emit<'_>) {
         self.current = self.first.iter().flatten().map(|pose| (**pose).clone()).collect();
-        let mut result = Ok(());
         if self.is_complete() {
-            for moment in std::mem::take(&mut self.waiting) {
-                // One that cannot be coded does not keep the others from it.
-                result = result.and(emit(&self.frame(moment)));
-            }
+            std::mem::take(&mut self.waiting).into_iter().for_each(|moment| emit(self.frame(moment)));
         }
-        result
     }
 
     /// The frame of an instant.

@@ -234,17 +234,18 @@ fn within_reach(place: &Vector3<f64>) -> Vector3<f64> {
 /// The pose of one hand in a frame; BAPs that are not given count as 0. `None` when the frame gives
 /// nothing of that hand: see [`sides`].
 pub fn pose_from_frame(frame: &BapFrame, side: Side, profile: Profile) -> Option<HandPose> {
+    let new = is_new(&frame.mask, side);
+    if !new && !has_angles(&frame.mask, side) {
+        return None;
+    }
     let mut pose = HandPose::neutral(side);
-    let mut seen = is_new(&frame.mask, side);
     let get = |bap: Bap| f64::from(frame.get(bap).unwrap_or(0));
     for angle in JointAngle::ALL {
-        let bap = angle_bap(side, angle);
-        seen |= frame.mask.contains(bap);
-        pose.set(angle, angle_sign(side, angle) * get(bap) / PER_RADIAN);
+        pose.set(angle, angle_sign(side, angle) * get(angle_bap(side, angle)) / PER_RADIAN);
     }
     match profile {
         Profile::Hand => {
-            let (place, [a, b, c], turn) = if is_new(&frame.mask, side) {
+            let (place, [a, b, c], turn) = if new {
                 let [x, y, z, a, b, c] = global_baps(side).map(get);
                 let number = |bap: Bap| (get(bap) / f64::from(ANCHOR_UNITS)).round();
                 let [along, up, off, turn] = anchor_baps(side).map(number);
@@ -263,7 +264,7 @@ pub fn pose_from_frame(frame: &BapFrame, side: Side, profile: Profile) -> Option
             pose.rotation = wrist_rotation(side, &angles);
         }
     }
-    seen.then_some(pose)
+    Some(pose)
 }
 
 /// Whether a frame gives position and rotation of a hand with anchors.
@@ -271,13 +272,16 @@ fn is_new(mask: &BapMask, side: Side) -> bool {
     global_baps(side).into_iter().chain(anchor_baps(side)).any(|bap| mask.contains(bap))
 }
 
+/// Whether a frame gives joint angles of a hand.
+fn has_angles(mask: &BapMask, side: Side) -> bool {
+    ANGLE_BAPS[side as usize].into_iter().any(|bap| mask.contains(bap))
+}
+
 /// The sides of which a frame gives at least one joint angle, or position or rotation with anchors, which nothing else has: the
 /// fingers of a hand may be at rest throughout.
 pub fn sides(mask: &BapMask) -> impl Iterator<Item = Side> {
     let mask = *mask;
-    [Side::Left, Side::Right].into_iter().filter(move |&side| {
-        is_new(&mask, side) || JointAngle::ALL.into_iter().any(|angle| mask.contains(angle_bap(side, angle)))
-    })
+    [Side::Left, Side::Right].into_iter().filter(move |&side| is_new(&mask, side) || has_angles(&mask, side))
 }
 
 /// How many rotations are anchors.

@@ -52,6 +52,37 @@ fn live() -> PlanOptions {
     plan(Target::Rms(0.5), true)
 }
 
+/// What is made and measured on another core meanwhile is the same, however many poses there are, up to the first that is
+/// refused.
+#[test]
+fn poses_taken_together_give_the_bytes_and_the_account_of_one_by_one() {
+    for (sides, frames) in [(&SIDES[..], 700), (&SIDES[1..], 256), (&SIDES[1..], 3)] {
+        let mut clip = clip(sides, frames);
+        clip.frames.iter_mut().skip(5).step_by(31).for_each(|frame| frame.valid = false);
+        for plan in [live(), plan(Target::Quant(8), true), plan(Target::Quant(8), false)] {
+            let mut one_by_one = encoder(sides, plan);
+            let mut bytes = Vec::new();
+            clip.frames.iter().for_each(|pose| bytes.extend(one_by_one.push(pose).unwrap()));
+            let mut together = encoder(sides, plan);
+            let all = together.push_all(clip.frames.iter().cloned()).unwrap();
+            assert_eq!(all, bytes);
+            let [one, other] = [one_by_one, together].map(|encoder| encoder.finish().unwrap());
+            assert_eq!((one.bytes, one.report, one.tips), (other.bytes, other.report, other.tips));
+        }
+    }
+    let mut clip = clip(&SIDES[1..], 600);
+    clip.frames[400].pose.side = Side::Left;
+    let mut encoder = encoder(&SIDES[1..], live());
+    let refused = encoder.push_all(clip.frames[..500].iter().cloned()).unwrap_err();
+    assert!(matches!(refused, PosesToStreamError::Hand { side: Side::Left }), "{refused}");
+    // What was ready comes with the next call, and it goes on behind.
+    let rest = encoder.push_all(clip.frames[500..].iter().cloned()).unwrap();
+    let mut decoder = PoseDecoder::new(PoseDecoderOptions::default());
+    let mut shown = decoder.push(&[rest, encoder.finish().unwrap().bytes].concat()).unwrap();
+    shown.extend(decoder.finish().unwrap());
+    assert_eq!(shown.len(), 600);
+}
+
 fn encoder(sides: &[Side], plan: PlanOptions) -> PoseEncoder {
     PoseEncoder::new(PoseEncoderOptions::default().with_hands(sides).with_rate(RATE).with_plan(plan)).unwrap()
 }

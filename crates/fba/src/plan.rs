@@ -18,7 +18,7 @@ mod plans;
 mod ranges;
 mod report;
 mod search;
-mod share;
+pub mod share;
 mod steering;
 mod windows;
 

@@ -660,7 +660,12 @@ fn choose(slot: &Slot, wanted: i64, model: &Adaptive<'_>, lambda: f64, worth: &W
         error(level) + lambda * (f64::from(model.total()) / f64::from(above - below)).log2()
     };
     let (mut least, mut level) = (cost(nearest), nearest);
-    for other in [nearest - nearest.signum(), 0] {
+    let lower = [nearest - nearest.signum(), 0];
+    // Both are the nearest one, or the same one, where that is 0 or beside it.
+    for &other in lower.get(usize::from(nearest.abs() < 2)..).unwrap_or_default() {
+        if nearest == 0 {
+            break;
+        }
         let cost = cost(other);
         if cost < least {
             (least, level) = (cost, other);

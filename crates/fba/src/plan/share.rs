@@ -21,11 +21,8 @@ pub(super) fn each<T: Send>(count: usize, work: impl Fn(usize) -> T + Sync + Sen
     all.map(work).collect()
 }
 
-/// What both make, side by side.
-pub(super) fn both<A: Send, B: Send>(
-    one: impl FnOnce() -> A + Send,
-    other: impl FnOnce() -> B + Send,
-) -> (A, B) {
+/// What both make, side by side; where no core is free, or without the feature `parallel`, one after the other.
+pub fn both<A: Send, B: Send>(one: impl FnOnce() -> A + Send, other: impl FnOnce() -> B + Send) -> (A, B) {
     #[cfg(feature = "parallel")]
     let made = rayon::join(one, other);
     #[cfg(not(feature = "parallel"))]
