@@ -103,7 +103,7 @@ fn encode(args: &Args) -> anyhow::Result<()> {
         None => Motion::parse_within(&args.input, &bytes, limits())?,
     };
     if !args.quiet {
-        motion.notes.iter().for_each(|note| errln!("handcast: {name}: {note}"));
+        tell_of_reading(&motion, &args.input);
     }
     if motion.format.id == "fba" && plan.steps != StepTable::Standard {
         refuse!(
@@ -136,6 +136,17 @@ fn encode(args: &Args) -> anyhow::Result<()> {
     };
     deliver(args, &stream, start)?;
     say(args, &report, tips)
+}
+
+/// Says what is worth knowing of how a motion was read, and what to do about it.
+fn tell_of_reading(motion: &Motion, path: &Path) {
+    let name = path.display();
+    motion.notes.iter().for_each(|note| errln!("handcast: {name}: {note}"));
+    if motion.import.as_ref().is_some_and(|report| report.trembling().is_some()) {
+        errln!(
+            "handcast: {name}: handcast import --smooth steadies them: encode the poses that it writes, in place of this file"
+        );
+    }
 }
 
 /// Most bytes of an input that are looked at to tell what it is.

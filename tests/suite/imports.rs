@@ -119,6 +119,41 @@ fn lone_arrays_are_joints_at_the_rate_that_is_told() {
 }
 
 /// A frame as LeapJS has it of 21 joints in metres, the thumb first.
+/// Joints that tremble as those of learned trackers do cost bits, and there is something to be done about it.
+#[test]
+fn encode_tells_how_trembling_joints_are_steadied() {
+    let folder = tempfile::tempdir().unwrap();
+    let skeleton = Skeleton::new(&Morphology::default(), Side::Right);
+    let written = |name: &str, metres: f64| {
+        let mut state = 7u32;
+        let mut noise = || {
+            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            metres * (f64::from(state >> 16) / 32768.0 - 1.0)
+        };
+        let joints = |frame: i32| {
+            let bend = 30.0 + 20.0 * (0.1 * f64::from(frame)).sin();
+            let pose = HandPose::neutral(Side::Right).with_degrees(JointAngle::Index1Flexion, bend);
+            let placed = skeleton.frames(&pose);
+            LANDMARKS_21.map(|joint| placed.position(joint)).map(|p| [p.x, -p.y, -p.z].map(|v| v + noise()))
+        };
+        let points: Vec<[[f64; 3]; 21]> = (0..60).map(joints).collect();
+        let file = folder.path().join(name);
+        std::fs::write(&file, npy("(60, 21, 3)", points.as_flattened().as_flattened())).unwrap();
+        file
+    };
+    let out = folder.path().join("hand.fba");
+    let said = |joints: &Path, more: &[&str]| {
+        let out = handcast(&[&["encode", path(joints), "-o", path(&out)], more].concat());
+        assert!(out.status.success());
+        text(&out.stderr)
+    };
+    let trembling = written("trembling.npy", 2e-3);
+    let told = said(&trembling, &[]);
+    assert!(told.contains("joint angles tremble by") && told.contains("import --smooth steadies"), "{told}");
+    assert_eq!(said(&trembling, &["-q"]), "");
+    assert!(!said(&written("still.npy", 0.0), &[]).contains("--smooth"));
+}
+
 fn leap_frame(t: f64, points: &[[f64; 3]]) -> Value {
     let mm = |k: usize| points[k].map(|v| v * 1e3);
     let fingers = (0..5).map(|f| {
