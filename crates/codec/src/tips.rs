@@ -2,7 +2,7 @@
 
 use handcast_fba::Record;
 use handcast_fba::bap::BapFrame;
-use handcast_hand::{ClipHand, Finger, HandPose, Joint, Side, Skeleton};
+use handcast_hand::{ClipHand, HandPose, Side, Skeleton};
 use nalgebra::{UnitQuaternion, Vector3};
 
 use crate::mapping::{Profile, pose_from_frame};
@@ -98,6 +98,11 @@ impl Tally {
 /// Fingertips, metres in the camera's frame.
 type Tips = [[f32; 3]; 5];
 
+/// Those of hands of one side in the same pose.
+fn tips<const N: usize>(hands: [&Skeleton; N], pose: &HandPose) -> [Tips; N] {
+    Skeleton::tips(hands, pose).map(|tips| tips.map(|tip| tip.coords.map(|v| v as f32).into()))
+}
+
 /// What rounding to the units of a stream takes from where the left hand is, and the right one: moves in steps of [`MOVE`], turns
 /// in steps of [`TURN`]. Nothing where no place is sent.
 #[derive(Clone, Copy, Debug, Default)]
@@ -148,11 +153,6 @@ fn apart(a: Tips, b: Tips) -> [f32; 5] {
     std::array::from_fn(|k| a[k].iter().zip(b[k]).map(|(a, b)| (a - b) * (a - b)).sum::<f32>().sqrt())
 }
 
-fn tips(skeleton: &Skeleton, pose: &HandPose) -> Tips {
-    let frames = skeleton.frames(pose);
-    Finger::ALL.map(|finger| frames.position(Joint::tip(finger)).coords.map(|v| v as f32).into())
-}
-
 impl TipMeter {
     /// Of hands of these sizes, in a stream that carries this record.
     pub fn new(profile: Profile, sizes: &[ClipHand], record: &Record) -> Self {
@@ -180,12 +180,10 @@ impl TipMeter {
             let [Some(mut given), Some(coded)] = poses else { continue };
             places.restore(&mut given);
             let own = &self.skeletons[side as usize];
-            let wanted = tips(own, &given);
-            let decoded = self.decoded[side as usize].as_ref();
-            if let Some(decoded) = decoded {
-                self.sizes = apart(wanted, tips(decoded, &given)).into_iter().fold(self.sizes, f32::max);
-            }
-            let shown = tips(decoded.unwrap_or(own), &coded);
+            let decoded = self.decoded[side as usize].as_ref().unwrap_or(own);
+            let [wanted, resized] = tips([own, decoded], &given);
+            self.sizes = apart(wanted, resized).into_iter().fold(self.sizes, f32::max);
+            let [shown] = tips([decoded], &coded);
             apart(wanted, shown).into_iter().for_each(|metres| self.off.add(metres));
         }
     }
@@ -289,7 +287,8 @@ mod tests {
             let skeletons = [person(), sizes].map(|sizes| Skeleton::new(&sizes, Side::Right));
             let mut most = 0.0f32;
             for (given, shown) in clip.frames.iter().zip(&shown.frames) {
-                let [given, shown] = [(0, given), (1, shown)].map(|(k, f)| tips(&skeletons[k], &f.pose));
+                let [[given], [shown]] =
+                    [(0, given), (1, shown)].map(|(k, f)| tips([&skeletons[k]], &f.pose));
                 most = apart(given, shown).into_iter().fold(most, f32::max);
             }
             let told = encoded.tips.unwrap();
