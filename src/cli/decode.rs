@@ -14,7 +14,7 @@ use handcast_fba::bap::text;
 use handcast_formats::motion::span;
 use handcast_formats::mp4;
 use handcast_formats::person::read_person;
-use handcast_hand::{JointAngle, Morphology, PoseHeader, TimedPose, limits};
+use handcast_hand::{JointAngle, Morphology, PoseHeader, Side, TimedPose, limits};
 use handcast_limits::Limit;
 
 use super::common::{self, StreamArgs, open_input, read_piece, read_stream};
@@ -71,6 +71,9 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     tell_of_damage(&name, &decoded.damage, "pose is");
     let notices = notices::of_stream(decoded.passed_over, decoded.streams, decoded.trailing);
     notices.iter().for_each(|notice| errln!("handcast: {name}: {notice}"));
+    if morphology.is_none() {
+        tell_of_sizes(&name, &decoded.resized, "last");
+    }
     warn_of_profile(&decoded, &args.input.display().to_string());
     warn_if_implausible(&decoded, &args.input.display().to_string());
     decoded.clip.header = told(decoded.clip.header, morphology.as_ref());
@@ -145,7 +148,17 @@ fn decode_lines(args: &Args, options: DecoderOptions, morphology: Option<&Morpho
     for notice in notices::of_stream(decoder.passed_over(), streams, trailing) {
         errln!("handcast: {name}: {notice}");
     }
+    if morphology.is_none() {
+        tell_of_sizes(&name, &decoder.resized(), "first");
+    }
     Ok(())
+}
+
+/// Says that poses are not all of hands of the same sizes.
+fn tell_of_sizes(name: &impl std::fmt::Display, resized: &[Side], shown: &str) {
+    if let Some(notice) = notices::of_sizes(resized, shown) {
+        errln!("handcast: {name}: {notice} (decode them from files of their own, or with --person)");
+    }
 }
 
 /// Says what was passed over, and what is held there.

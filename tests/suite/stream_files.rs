@@ -8,8 +8,9 @@ use crate::common::glb::motion;
 use crate::common::shared;
 use handcast_formats::motion::{Format, Motion};
 use handcast_formats::mp4::stream_in;
+use handcast_formats::person::write_person;
 use handcast_formats::poses::{read_poses, write_poses};
-use handcast_hand::{Morphology, PoseClip, PoseHeader, Side, TimedPose};
+use handcast_hand::{Morphology, Person, PoseClip, PoseHeader, Side, TimedPose};
 
 /// A folder with the poses of a right hand, six seconds of them.
 fn folder() -> (tempfile::TempDir, PathBuf) {
@@ -179,6 +180,37 @@ fn streams_are_joined_at_their_records_which_travel_on() {
     for name in ["c.fba", "e.fba", "f.fba", "out/streams/a.fba.fba", "out/streams/poses.jsonl.fba"] {
         assert_eq!(told(name), (None, None), "{name}");
     }
+}
+
+/// Two people one behind the other.
+#[test]
+fn streams_of_other_sizes_are_told_with_the_sizes_that_are_shown() {
+    let (folder, poses) = folder();
+    let at = |name: &str| folder.path().join(name);
+    let mut clip = read_poses(&poses).unwrap();
+    let streams = [0.15, 0.2].map(|length| {
+        clip.header.hands[0].morphology = Some(Morphology::average(length));
+        write_poses(&at("sized.jsonl"), &clip).unwrap();
+        done(&["encode", path(&at("sized.jsonl")), "-o", path(&at("part.fba")), "-q"]);
+        std::fs::read(at("part.fba")).unwrap()
+    });
+    std::fs::write(at("both.fba"), streams.concat()).unwrap();
+    let out = at("out.jsonl");
+    let said = text(&handcast(&["decode", path(&at("both.fba")), "-o", path(&out)]).stderr);
+    assert!(said.contains("different sizes of the right hand") && said.contains("the last ones"), "{said}");
+    let shown = |clip: &PoseClip| clip.header.hands[0].morphology.as_ref().unwrap().hand_length;
+    let length = shown(&read_poses(&out).unwrap());
+    assert!((length - 0.2).abs() < 1e-3, "{length}");
+    // Line by line the first are told before there are others.
+    let lines = handcast(&["decode", path(&at("both.fba")), "-o", "-"]);
+    assert!(text(&lines.stderr).contains("the first ones"));
+    std::fs::write(&out, lines.stdout).unwrap();
+    let length = shown(&read_poses(&out).unwrap());
+    assert!((length - 0.15).abs() < 1e-3, "{length}");
+    let person = at("person.toml");
+    write_person(&person, &Person { morphology: Morphology::average(0.18), ..Person::default() }).unwrap();
+    let given = handcast(&["decode", path(&at("both.fba")), "-o", path(&out), "--person", path(&person)]);
+    assert!(given.status.success() && !text(&given.stderr).contains("different sizes"));
 }
 
 #[test]

@@ -226,6 +226,8 @@ pub struct DecodedStream {
     pub streams: u32,
     /// Bytes behind the last stream's end code that begin no further one.
     pub trailing: u64,
+    /// The hands of which these streams tell different sizes: the header has those of the last.
+    pub resized: Vec<Side>,
 }
 
 /// The BAPs of a whole stream.
@@ -382,6 +384,7 @@ pub fn decode_poses_within(
         passed_over: decoder.passed_over(),
         streams: decoder.streams().0,
         trailing: decoder.streams().1,
+        resized: decoder.resized(),
     })
 }
 
@@ -695,6 +698,7 @@ mod tests {
         assert_eq!((decoded.streams, span(Side::Left), span(Side::Right)), (3, (120, 60), (120, 0)));
         assert!(decoded.clip.frames.iter().all(|frame| frame.pose.translation.z < -0.5));
         assert_eq!(decoded.clip.header.hands.len(), 2);
+        assert!(decoded.resized.is_empty());
         // A mask that grows within a stream.
         let mut mapper = PoseMapper::new(Profile::Hand);
         let frames: Vec<TimedBapFrame> = (0..60)
@@ -713,6 +717,32 @@ mod tests {
         for clip in [&decoded, &of_text] {
             assert_eq!((clip.of(Side::Left).count(), clip.of(Side::Right).count()), (60, 35));
         }
+    }
+
+    /// Of two people one behind the other a clip has the sizes of the second alone.
+    #[test]
+    fn streams_of_other_sizes_are_told() {
+        let part = |sides: &[Side], length: Option<f64>| {
+            let mut clip = clip(sides);
+            clip.header.hands = sides
+                .iter()
+                .map(|&side| ClipHand { side, morphology: length.map(Morphology::average) })
+                .collect();
+            encode_poses(&clip, Profile::Hand, &PlanOptions::default()).unwrap().stream
+        };
+        let resized = |parts: &[Vec<u8>]| {
+            let decoded = decode_poses(&parts.concat(), None, DecoderOptions::default()).unwrap();
+            let sizes = decoded.clip.header.hand(Side::Right).unwrap().morphology.clone();
+            (decoded.resized, sizes.map(|sizes| (1e3 * sizes.hand_length).round()))
+        };
+        let both = [Side::Left, Side::Right];
+        let [unknown, small, large] = [None, Some(0.15), Some(0.2)].map(|length| part(&both[1..], length));
+        let pair = part(&both, Some(0.15));
+        assert_eq!(resized(std::slice::from_ref(&small)), (vec![], Some(150.0)));
+        assert_eq!(resized(&[unknown.clone(), small.clone(), small.clone()]), (vec![], Some(150.0)));
+        assert_eq!(resized(&[small.clone(), unknown, pair.clone()]), (vec![], Some(150.0)));
+        assert_eq!(resized(&[small, large.clone()]), (vec![Side::Right], Some(200.0)));
+        assert_eq!(resized(&[large, pair]), (vec![Side::Right], Some(150.0)));
     }
 
     /// A stream that is joined in its middle counts, and what damage takes from a stream to its end is told.

@@ -2,7 +2,7 @@
 
 use handcast_fba::bap::{Bap, BapFrame, BapMask, derive};
 use handcast_fba::{DecodedFrame, Decoder, DecoderOptions, PlaneKind, SyntaxError};
-use handcast_hand::{ClipHand, HandPose, PoseHeader, Side, TimedPose};
+use handcast_hand::{ClipHand, HandPose, Morphology, PoseHeader, Side, TimedPose};
 use handcast_limits::{DEFAULT, Limits};
 
 use crate::damage::Damage;
@@ -133,6 +133,9 @@ pub struct PoseDecoder {
     doubted: bool,
     revised: bool,
     timeline: Timeline,
+    /// Sizes of each hand that streams have told so far, the last ones, and whether they were others before.
+    sizes: [Option<Morphology>; 2],
+    resized: [bool; 2],
     /// What was wrong before the first plane.
     before: Option<SyntaxError>,
 }
@@ -211,6 +214,8 @@ impl PoseDecoder {
             doubted: false,
             revised: false,
             timeline: Timeline::default(),
+            sizes: [None, None],
+            resized: [false; 2],
             before: None,
             options,
         };
@@ -336,6 +341,12 @@ impl PoseDecoder {
     /// Streams that were decoded one behind the other, and bytes behind the last that begin no further one.
     pub fn streams(&self) -> (u32, u64) {
         (self.decoder.objects(), self.decoder.trailing())
+    }
+
+    /// The hands of which streams one behind the other tell different sizes, as they do of different people: a header has those
+    /// of the last alone.
+    pub fn resized(&self) -> Vec<Side> {
+        [Side::Left, Side::Right].into_iter().filter(|&side| self.resized[side as usize]).collect()
     }
 
     /// Whether values are not to be believed: between damage and the next I plane.
@@ -480,6 +491,12 @@ impl PoseDecoder {
     /// Takes in that another stream begins, of this number.
     fn begin(&mut self, stream: usize) {
         self.stream = stream;
+        for told in hands_of_record(self.decoder.record()) {
+            let side = told.side as usize;
+            let before = self.sizes[side].take();
+            self.resized[side] |= before.is_some() && told.morphology.is_some() && before != told.morphology;
+            self.sizes[side] = told.morphology.or(before);
+        }
         self.derived_before = self.derived_before.union(&self.derived);
         self.present.clear();
         (self.known, self.seen) = (BapMask::EMPTY, BapMask::EMPTY);

@@ -183,6 +183,15 @@ pub fn of_stream(passed_over: Option<u64>, streams: u32, trailing: u64) -> Vec<S
     [before, further, behind].into_iter().flatten().collect()
 }
 
+/// That streams one behind the other tell different sizes of these hands; `shown` says which all poses have: "last", "first".
+pub fn of_sizes(resized: &[Side], shown: &str) -> Option<String> {
+    let names: Vec<&str> = resized.iter().map(|side| side.name()).collect();
+    let (names, s) = (names.join(" and "), if resized.len() > 1 { "s" } else { "" });
+    (!resized.is_empty()).then(|| {
+        format!("its streams tell different sizes of the {names} hand{s}: all poses are shown with the {shown} ones")
+    })
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -251,6 +260,14 @@ mod tests {
         let mut slow = clip(&[Side::Right]);
         slow.frames.iter_mut().for_each(|frame| frame.time *= 30.0 / 29.97);
         assert!(of_poses(&slow, Profile::Hand).is_empty());
+    }
+
+    #[test]
+    fn different_sizes_are_told_by_hand() {
+        assert_eq!(of_sizes(&[], "last"), None);
+        assert!(of_sizes(&[Side::Left], "last").unwrap().contains("of the left hand: all"));
+        let both = of_sizes(&[Side::Left, Side::Right], "first").unwrap();
+        assert!(both.contains("left and right hands") && both.ends_with("with the first ones"), "{both}");
     }
 
     #[test]

@@ -5,7 +5,7 @@ use std::ffi::CString;
 use handcast::PoseClip;
 use handcast::codec::clip_rate;
 use handcast::codec::mapping::Profile;
-pub use handcast::codec::notices::{of_damage, of_report, of_stream, of_times};
+pub use handcast::codec::notices::{of_damage, of_report, of_sizes, of_stream, of_times};
 use handcast::fba::FrameRate;
 use pyo3::prelude::*;
 

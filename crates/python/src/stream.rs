@@ -1,10 +1,11 @@
 //! Poses to streams and files, and back.
 
 use std::path::PathBuf;
-use std::sync::Arc;
+use std::sync::{Arc, LazyLock};
 
 use handcast::codec::mapping::Profile;
 use handcast::formats::motion::{Format, Motion, WriteOptions, at_even_times, even_rate};
+use handcast::gltf::{ExportOptions, Skins};
 use handcast::{DecoderOptions, PlanOptions, decode_poses, encode_poses};
 use handcast_limits::Limits;
 use pyo3::prelude::*;
@@ -79,6 +80,7 @@ pub fn decode(py: Python<'_>, stream: &Bound<'_, PyAny>, conceal: bool) -> PyRes
     let decoded = apart(py, move || decode_poses(&stream, None, options).map_err(|error| wrong(&error)))?;
     notices::warn(py, &notices::of_damage(&decoded.damage, "pose is"))?;
     notices::warn(py, &notices::of_stream(decoded.passed_over, decoded.streams, decoded.trailing))?;
+    notices::warn(py, &Vec::from_iter(notices::of_sizes(&decoded.resized, "last")))?;
     Ok(decoded.clip.into())
 }
 
@@ -103,7 +105,11 @@ pub fn load(py: Python<'_>, path: PathBuf) -> PyResult<Clip> {
     Ok(clip)
 }
 
-/// The clip as bytes of a file: "glb", "jsonl", "json", "csv", "bvh", "vrma", "webxr", "landmarks", "pose", "bap".
+/// Surfaces and textures of the hands that were written last, for as long as the module is loaded: making them takes longer than
+/// all the rest of a GLB.
+static SKINS: LazyLock<Skins> = LazyLock::new(Skins::default);
+
+/// The clip as bytes of a file: "glb", "gltf", "jsonl", "json", "csv", "bvh", "vrma", "webxr", "landmarks", "pose", "bap".
 ///
 /// Raises Error for other formats, and for clips that a format cannot hold.
 #[pyfunction]
@@ -114,8 +120,9 @@ pub fn to_format<'py>(py: Python<'py>, clip: &Clip, format: &str) -> PyResult<Bo
         Error::new_err(format!("format is {format:?}, allowed are {}", names.join(", ")))
     })?;
     let poses = Arc::clone(&clip.poses);
-    let written =
-        apart(py, move || found.write(&poses, &WriteOptions::default()).map_err(|error| wrong(&error)))?;
+    let gltf = ExportOptions { skins: SKINS.clone(), ..ExportOptions::default() };
+    let options = WriteOptions::default().with_gltf(gltf);
+    let written = apart(py, move || found.write(&poses, &options).map_err(|error| wrong(&error)))?;
     notices::warn(py, &written.notes)?;
     Ok(PyBytes::new(py, &written.bytes))
 }
