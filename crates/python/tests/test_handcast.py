@@ -101,6 +101,13 @@ class Tracked(InFolder):
             made = handcast.encode(handcast.load(jsonl), **option)
             self.assertEqual(made, (self.folder / "other.fba").read_bytes(), flags)
 
+    def test_files_are_the_same_where_skins_are_kept(self):
+        decoded = handcast.decode(handcast.encode(self.clip))
+        first = handcast.to_glb(decoded)
+        self.assertEqual(handcast.to_glb(decoded), first)
+        self.assertEqual(handcast.to_format(decoded, "glb"), first)
+        self.assertIn(b'"asset"', handcast.to_format(decoded, "gltf"))
+
     def test_files_have_the_tone_of_the_skin(self):
         binary = lambda glb: glb[20 + int.from_bytes(glb[12:16], "little"):]
         decoded = handcast.decode(handcast.encode(self.clip))

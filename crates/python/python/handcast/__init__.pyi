@@ -272,7 +272,7 @@ def load(path: _Path) -> Clip:
     """The poses in a motion file: all kinds that `handcast encode` reads. Raises Error, FileNotFoundError and other OSError."""
 
 def to_format(clip: Clip, format: str) -> bytes:
-    """The clip as a file: "glb", "jsonl", "json", "csv", "bvh", "vrma", "webxr", "landmarks", "pose", "bap"."""
+    """The clip as a file: "glb", "gltf", "jsonl", "json", "csv", "bvh", "vrma", "webxr", "landmarks", "pose", "bap"."""
 
 def to_glb(clip: Clip) -> bytes: ...
 def to_pose_format(clip: Clip) -> bytes: ...
