@@ -120,7 +120,8 @@ pub fn to_format<'py>(py: Python<'py>, clip: &Clip, format: &str) -> PyResult<Bo
         Error::new_err(format!("format is {format:?}, allowed are {}", names.join(", ")))
     })?;
     let poses = Arc::clone(&clip.poses);
-    let gltf = ExportOptions { skins: SKINS.clone(), ..ExportOptions::default() };
+    let mut gltf = ExportOptions::default();
+    gltf.skins = SKINS.clone();
     let options = WriteOptions::default().with_gltf(gltf);
     let written = apart(py, move || found.write(&poses, &options).map_err(|error| wrong(&error)))?;
     notices::warn(py, &written.notes)?;
