@@ -72,7 +72,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let notices = notices::of_stream(decoded.passed_over, decoded.streams, decoded.trailing);
     notices.iter().for_each(|notice| errln!("handcast: {name}: {notice}"));
     if morphology.is_none() {
-        tell_of_sizes(&name, &decoded.resized, "last");
+        tell_of_sizes(&name, &decoded.resized, "the last ones");
     }
     warn_of_profile(&decoded, &args.input.display().to_string());
     warn_if_implausible(&decoded, &args.input.display().to_string());
@@ -149,7 +149,8 @@ fn decode_lines(args: &Args, options: DecoderOptions, morphology: Option<&Morpho
         errln!("handcast: {name}: {notice}");
     }
     if morphology.is_none() {
-        tell_of_sizes(&name, &decoder.resized(), "first");
+        // Of the stream that was read when the header was written.
+        tell_of_sizes(&name, &decoder.resized(), "those of one of them");
     }
     Ok(())
 }

@@ -89,7 +89,7 @@ impl MotionArgs {
             motion.notes.push(format!("{} further places are damaged", decoded.damage.further()));
         }
         motion.notes.extend(notices::of_stream(decoded.passed_over, decoded.streams, decoded.trailing));
-        motion.notes.extend(notices::of_sizes(&decoded.resized, "last"));
+        motion.notes.extend(notices::of_sizes(&decoded.resized, "the last ones"));
         Ok(motion)
     }
 }

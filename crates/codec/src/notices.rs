@@ -183,12 +183,12 @@ pub fn of_stream(passed_over: Option<u64>, streams: u32, trailing: u64) -> Vec<S
     [before, further, behind].into_iter().flatten().collect()
 }
 
-/// That streams one behind the other tell different sizes of these hands; `shown` says which all poses have: "last", "first".
+/// That streams one behind the other tell different sizes of these hands; `shown` says which all poses have: "the last ones", say.
 pub fn of_sizes(resized: &[Side], shown: &str) -> Option<String> {
     let names: Vec<&str> = resized.iter().map(|side| side.name()).collect();
     let (names, s) = (names.join(" and "), if resized.len() > 1 { "s" } else { "" });
     (!resized.is_empty()).then(|| {
-        format!("its streams tell different sizes of the {names} hand{s}: all poses are shown with the {shown} ones")
+        format!("its streams tell different sizes of the {names} hand{s}: all poses are shown with {shown}")
     })
 }
 
@@ -264,10 +264,10 @@ mod tests {
 
     #[test]
     fn different_sizes_are_told_by_hand() {
-        assert_eq!(of_sizes(&[], "last"), None);
-        assert!(of_sizes(&[Side::Left], "last").unwrap().contains("of the left hand: all"));
-        let both = of_sizes(&[Side::Left, Side::Right], "first").unwrap();
-        assert!(both.contains("left and right hands") && both.ends_with("with the first ones"), "{both}");
+        assert_eq!(of_sizes(&[], "the last ones"), None);
+        assert!(of_sizes(&[Side::Left], "the last ones").unwrap().contains("of the left hand: all"));
+        let both = of_sizes(&[Side::Left, Side::Right], "one of them").unwrap();
+        assert!(both.contains("left and right hands") && both.ends_with("with one of them"), "{both}");
     }
 
     #[test]

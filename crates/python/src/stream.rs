@@ -80,7 +80,7 @@ pub fn decode(py: Python<'_>, stream: &Bound<'_, PyAny>, conceal: bool) -> PyRes
     let decoded = apart(py, move || decode_poses(&stream, None, options).map_err(|error| wrong(&error)))?;
     notices::warn(py, &notices::of_damage(&decoded.damage, "pose is"))?;
     notices::warn(py, &notices::of_stream(decoded.passed_over, decoded.streams, decoded.trailing))?;
-    notices::warn(py, &Vec::from_iter(notices::of_sizes(&decoded.resized, "last")))?;
+    notices::warn(py, &Vec::from_iter(notices::of_sizes(&decoded.resized, "the last ones")))?;
     Ok(decoded.clip.into())
 }
 
