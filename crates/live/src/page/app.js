@@ -20,9 +20,10 @@ function say(text) {
 
 // A hand of a sender: where its joints are now, and its surface once that is there.
 class Shown {
-  constructor(side, version) {
+  constructor(side, version, fine) {
     this.side = side;
     this.version = version;
+    this.fine = fine;
     this.frames = new Float32Array(300);
     this.rows = new Float32Array(300);
     this.valid = true;
@@ -51,6 +52,9 @@ const APART = 0.34;
 const LONGEST_SKETCH = 1000;
 // Share of the way to a smaller view that is gone at each picture.
 const CALM = 0.02;
+// Pixels a metre up to which the fewer triangles of the plain surface look as round as those of the fine one: their edges of
+// 2.4 mm around a finger of 8 mm leave it by 0.09 mm, which is then half a pixel.
+const PLAIN = 5500;
 
 const canvas = element("hand");
 const labels = new Map();
@@ -84,6 +88,12 @@ function frame(hands) {
   orbit.reach.all = { centre, points, radius: Math.hypot(...half) + 0.1 };
 }
 
+// Whether hands have been so large that their fine surfaces are seen; without a graphics card those would not come in time.
+let fine = false;
+function lookAtSize(pixels) {
+  fine ||= Boolean(painter?.hasCard) && pixels / (2 * HALF * orbit.distance) > PLAIN;
+}
+
 // Whether there is one.
 let seen = false;
 // The hands of everybody, as far as they have been seen.
@@ -97,12 +107,12 @@ function handsNow() {
       const key = `${sender.number} ${side}`;
       const sizes = sender.decoder.sizes(side);
       let hand = shownHands.get(key);
-      if (!hand || hand.owner !== sender || hand.version !== sizes.version) {
-        hand = new Shown(side, sizes.version);
+      if (!hand || hand.owner !== sender || hand.version !== sizes.version || hand.fine !== fine) {
+        hand = new Shown(side, sizes.version, fine);
         hand.owner = sender;
         shownHands.set(key, hand);
       }
-      if (surface && painter && !hand.worn) Object.assign(hand, surface(side, sizes));
+      if (surface && painter && !hand.worn) Object.assign(hand, surface(side, sizes, { fine }));
       const { skinTone } = sender.decoder.facts;
       if (hand.tone !== skinTone) {
         const colour = room.handcast.skinColour(skinTone);
@@ -190,6 +200,7 @@ function paint(force) {
   if (canvas.width !== size[0] || canvas.height !== size[1]) [canvas.width, canvas.height] = size;
   frame(hands);
   orbit.update(width, height);
+  lookAtSize(size[1]);
   const worn = Boolean(painter) && hands.every(hand => hand.worn);
   if (worn) {
     painter.show(hands);
@@ -404,7 +415,7 @@ async function dress() {
     const skins = loadSurface("./handcast_surface.wasm");
     // Whether it failed is looked at below.
     skins.catch(() => {});
-    painter = new Painter(canvas, [], 512);
+    painter = new Painter(canvas, [], { swift: true });
     surface = await skins;
   } catch (error) {
     unskinned = error.message;
