@@ -174,9 +174,22 @@ let opened = null;
 // What the graphics card passes behind the first skin, and milliseconds until it has.
 let behindFirst = null;
 let skinned = null;
+// Pictures that the graphics card has not passed yet: its sync, and what was drawn in each.
+let passing = [];
+// The screen shows with its next picture what has been passed by then.
+function lookAtPassing() {
+  const now = room?.now() >>> 0;
+  while (passing.length && painter.gl.getSyncParameter(passing[0].sync, painter.gl.SYNC_STATUS) === painter.gl.SIGNALED) {
+    const { sync, poses } = passing.shift();
+    for (const pose of poses) pose.shown = (now - pose.time) | 0;
+    painter.gl.deleteSync(sync);
+  }
+}
+
 function paint(force) {
   const now = room.now();
   let due = null;
+  const poses = [];
   for (const sender of room.senders.values()) {
     const next = sender.advance(now);
     if (!next) continue;
@@ -184,7 +197,8 @@ function paint(force) {
     const took = ((now >>> 0) - next.time) | 0;
     // What has been at rest for long is old, not late.
     if (took < 5000) {
-      drawn.push({ sender: sender.number, time: next.time, latency: took, skinned: skinned !== null, transit: Math.round(next.arrived - now) + took });
+      poses.push({ sender: sender.number, time: next.time, latency: took, shown: null, skinned: skinned !== null, transit: Math.round(next.arrived - now) + took });
+      drawn.push(poses.at(-1));
       if (drawn.length > 2000) drawn.shift();
       latency.add(took);
     }
@@ -206,6 +220,7 @@ function paint(force) {
     painter.show(hands);
     painter.paint(orbit, hands);
     painted = true;
+    if (poses.length) passing.push({ sync: painter.gl.fenceSync(painter.gl.SYNC_GPU_COMMANDS_COMPLETE, 0), poses });
     if (hands.length && skinned === null) behindFirst ??= painter.gl.fenceSync(painter.gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
   }
   if (worn && skinned !== null) sketch.clear(); else sketch.paint(orbit.matrix, hands, width, height, dense);
@@ -249,6 +264,7 @@ function tick(at) {
   if (skinned !== null) sharpness.next(at - ticked, painted);
   [painted, ticked] = [false, at];
   lookAtFirst();
+  lookAtPassing();
   if (room) paint(force);
   force = false;
   requestAnimationFrame(tick);
@@ -350,7 +366,7 @@ new ResizeObserver(() => {
   redraw();
 }).observe(canvas);
 canvas.addEventListener("webglcontextlost", event => event.preventDefault());
-canvas.addEventListener("webglcontextrestored", () => { painter?.prepare(); redraw(); });
+canvas.addEventListener("webglcontextrestored", () => { passing = []; painter?.prepare(); redraw(); });
 
 // A hand that is there is shown as a sketch before the graphics card compiles what skins are drawn with, which lets nothing else
 // be done; in a room without one nothing is waited for.
