@@ -27,6 +27,8 @@ use crate::cli::usage::positive;
 
 /// Bytes of TCP and IP around a message of its own: 20 and 20, and 12 of time stamps.
 const TCP_IP: u64 = 52;
+/// Times that a page is opened in a browser that runs.
+const AGAIN: usize = 9;
 /// Planes a second.
 const RATE: f64 = 30.0;
 
@@ -93,7 +95,10 @@ struct Report {
     resident_mib: Option<[f64; 3]>,
     /// From encoding to a viewer behind a way that loses segments: the share, and the times.
     lossy_ms: Vec<(f64, Times)>,
+    /// To the picture in which a page draws it.
     encode_to_drawn_ms: Option<Times>,
+    /// To the screen's next picture once the graphics card has drawn that one.
+    encode_to_shown_ms: Option<Times>,
     page_joins_ms: Option<Joins>,
 }
 
@@ -106,6 +111,8 @@ struct Joins {
     asked: f64,
     /// From there until the hand has its skin.
     skinned: f64,
+    /// From asking for the room in a browser that has been running, in the middle and the longest of [`AGAIN`].
+    running: [f64; 2],
 }
 
 /// Runs the measurement.
@@ -123,8 +130,9 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     report.join_ms = join_ms;
     report.kbit_per_s = kbit_per_s;
     if let Some(chromium) = &args.chromium {
-        let (drawn, joins) = drawn(&clip, chromium, &args.script)?;
+        let (drawn, shown, joins) = drawn(&clip, chromium, &args.script)?;
         report.encode_to_drawn_ms = Some(drawn);
+        report.encode_to_shown_ms = Some(shown);
         report.page_joins_ms = Some(joins);
     }
     if args.json {
@@ -169,14 +177,18 @@ fn tell(report: &Report) {
             "memory                       {before:.1} MiB, {behind:.1} with the readers, {growth:+.2} in the second half"
         );
     }
-    match (&report.encode_to_drawn_ms, report.page_joins_ms) {
-        (Some(drawn), Some(joins)) => {
+    match (&report.encode_to_drawn_ms, &report.encode_to_shown_ms, report.page_joins_ms) {
+        (Some(drawn), Some(shown), Some(joins)) => {
             outln!("encoded to drawn in a page   {}", times(drawn));
-            let Joins { opened, asked, skinned } = joins;
+            outln!("to what the screen shows     {}", times(shown));
+            let Joins { opened, asked, skinned, running: [middle, longest] } = joins;
             outln!(
                 "a page's first hand          {asked:.0} ms after asking for the room, {opened:.0} after opening the page"
             );
             outln!("with its skin                {skinned:.0} ms after asking for the room");
+            outln!(
+                "in a browser that runs       first hand {middle:.0} ms after asking, {longest:.0} at most of {AGAIN}"
+            );
         }
         _ => outln!("encoded to drawn in a page   not measured: --chromium FILE"),
     }
@@ -387,6 +399,7 @@ fn crowd(args: &Args) -> anyhow::Result<Report> {
         resident_mib: before.zip(middle).zip(after).map(|((a, b), c)| [a, c, c - b - own]),
         lossy_ms: Vec::new(),
         encode_to_drawn_ms: None,
+        encode_to_shown_ms: None,
         page_joins_ms: None,
     })
 }
@@ -412,7 +425,7 @@ fn cpu_seconds(name: &str) -> Option<f64> {
 }
 
 /// From encoding to the picture in a page, and from opening a page to a hand in it.
-fn drawn(clip: &PoseClip, chromium: &Path, script: &Path) -> anyhow::Result<(Times, Joins)> {
+fn drawn(clip: &PoseClip, chromium: &Path, script: &Path) -> anyhow::Result<(Times, Times, Joins)> {
     let server = server()?;
     let stop = Arc::new(AtomicBool::new(false));
     // A little slower, so that planes come at all phases of the screen's pictures.
@@ -424,6 +437,7 @@ fn drawn(clip: &PoseClip, chromium: &Path, script: &Path) -> anyhow::Result<(Tim
         "url": format!("http://{}/hand", server.address()),
         "pages": [{ "width": 420, "height": 420, "hash": "#buffer=0" }],
         "seconds": 15,
+        "again": AGAIN,
     });
     std::fs::write(&job, serde_json::to_vec(&told)?)?;
     let output = Command::new("node").arg(script).arg(chromium).arg(&job).output().context("node")?;
@@ -434,10 +448,17 @@ fn drawn(clip: &PoseClip, chromium: &Path, script: &Path) -> anyhow::Result<(Tim
     let drawn = told[0]["drawn"].as_array().context("what was drawn")?;
     // Before the first skin the page loads and compiles.
     let skinned = drawn.iter().filter(|one| one["skinned"] == true);
-    let times = skinned.filter_map(|one| one["latency"].as_f64()).collect();
+    let of = |what: &str| Times::of(skinned.clone().filter_map(|one| one[what].as_f64()).collect());
     let ms = |value: &serde_json::Value| value.as_f64().unwrap_or(f64::NAN);
     let state = &told[0]["state"];
-    let joins =
-        Joins { opened: ms(&told[0]["joined"]), asked: ms(&state["joined"]), skinned: ms(&state["skinned"]) };
-    Ok((Times::of(times), joins))
+    let mut again: Vec<f64> = told[0]["again"].as_array().into_iter().flatten().map(ms).collect();
+    again.sort_by(f64::total_cmp);
+    let at = |place: usize| again.get(place).copied().unwrap_or(f64::NAN);
+    let joins = Joins {
+        opened: ms(&told[0]["joined"]),
+        asked: ms(&state["joined"]),
+        skinned: ms(&state["skinned"]),
+        running: [at(AGAIN / 2), at(AGAIN - 1)],
+    };
+    Ok((of("latency"), of("shown"), joins))
 }
