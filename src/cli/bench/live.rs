@@ -27,6 +27,9 @@ use crate::cli::usage::positive;
 
 /// Bytes of TCP and IP around a message of its own: 20 and 20, and 12 of time stamps.
 const TCP_IP: u64 = 52;
+/// Times that a clip is sent to count its bits, and those of them after which a stream has seen what moves how far.
+const PASSES: usize = 6;
+const SETTLED: usize = 2;
 /// Times that a page is opened in a browser that runs.
 const AGAIN: usize = 9;
 /// Planes a second.
@@ -89,8 +92,8 @@ struct Report {
     /// Processor time of the room's thread for a delivery, microseconds, all else that it does included.
     cpu_us_a_delivery: Option<f64>,
     join_ms: Times,
-    /// Payload and wire, kbit/s of a hand, of one plane, two and three a message.
-    kbit_per_s: [[f64; 2]; 3],
+    /// Payload and wire, kbit/s of a hand, of one plane, two and three a message: of the clip, and of its third to sixth time.
+    kbit_per_s: [[[f64; 2]; 2]; 3],
     /// Resident before and behind the readers, MiB, and the growth over the second half of their time.
     resident_mib: Option<[f64; 3]>,
     /// From encoding to a viewer behind a way that loses segments: the share, and the times.
@@ -164,10 +167,12 @@ fn tell(report: &Report) {
         report.missed
     );
     outln!("joining, to the last pose    {}", times(&report.join_ms));
-    for (what, [payload, wire]) in
+    for (what, [[payload, wire], [later, wire_later]]) in
         ["one plane a message ", "two planes a message", "three               "].iter().zip(report.kbit_per_s)
     {
-        outln!("{what}         {wire:.2} kbit/s a hand on the wire, {payload:.2} of them planes");
+        outln!(
+            "{what}         {wire:.2} kbit/s a hand on the wire, {payload:.2} of them planes; later {wire_later:.2} and {later:.2}"
+        );
     }
     for (loss, late) in &report.lossy_ms {
         outln!("20 ms away, {:.1} % lost       {}", loss * 100.0, times(late));
@@ -232,36 +237,50 @@ fn instants(clip: &PoseClip) -> Vec<Vec<TimedPose>> {
     out
 }
 
-/// Kilobits a second and hand of payload and on the wire, so many planes a message.
-fn wire(clip: &PoseClip, together: usize) -> anyhow::Result<[f64; 2]> {
+/// The poses of an instant of a clip that goes there and back, so that the hand does not leap.
+fn there_and_back(instants: &[Vec<TimedPose>], n: usize) -> &[TimedPose] {
+    let length = instants.len();
+    let at = n % (2 * length).max(1);
+    instants.get(if at < length { at } else { 2 * length - 1 - at }).map_or(&[], Vec::as_slice)
+}
+
+/// Kilobits a second and hand of payload and on the wire, so many planes a message: of the clip, and of it once the stream has
+/// seen what moves how far.
+fn wire(clip: &PoseClip, together: usize) -> anyhow::Result<[[f64; 2]; 2]> {
     let server = server()?;
     let mut publisher = server.publisher()?;
     let mut sender = PoseSender::new(LivePoseEncoderOptions::default());
     let instants = instants(clip);
     let mut waiting: Vec<Plane> = Vec::new();
     let mut expected = 0;
-    for (n, poses) in instants.iter().enumerate() {
-        let seconds = n as f64 / RATE;
-        let planes = sender.push(seconds, (seconds * 1000.0) as u32, poses, &clip.header)?;
-        let rests = planes.is_empty();
-        expected += planes.iter().map(|plane| plane.payload.len() as u64).sum::<u64>();
-        waiting.extend(planes);
-        while waiting.len() >= together || rests && !waiting.is_empty() {
-            let many = together.min(waiting.len());
-            publisher.planes(&waiting.drain(..many).collect::<Vec<_>>())?;
+    let mut counted = vec![Counted::default()];
+    for pass in 0..PASSES {
+        for n in pass * instants.len()..(pass + 1) * instants.len() {
+            let (seconds, poses) = (n as f64 / RATE, there_and_back(&instants, n));
+            let planes = sender.push(seconds, (seconds * 1000.0) as u32, poses, &clip.header)?;
+            let rests = planes.is_empty();
+            expected += planes.iter().map(|plane| plane.payload.len() as u64).sum::<u64>();
+            waiting.extend(planes);
+            while waiting.len() >= together || rests && !waiting.is_empty() {
+                let many = together.min(waiting.len());
+                publisher.planes(&waiting.drain(..many).collect::<Vec<_>>())?;
+            }
         }
+        publisher.planes(&std::mem::take(&mut waiting))?;
+        let patience = Instant::now() + Duration::from_secs(20);
+        while server.counted().payload < expected {
+            ensure!(Instant::now() < patience, "the room does not take all planes");
+            std::thread::sleep(Duration::from_millis(20));
+        }
+        counted.push(server.counted());
     }
-    publisher.planes(&waiting)?;
-    publisher.end()?;
-    let patience = Instant::now() + Duration::from_secs(20);
-    while server.counted().payload < expected {
-        ensure!(Instant::now() < patience, "the room does not take all planes");
-        std::thread::sleep(Duration::from_millis(20));
-    }
-    let Counted { payload, messages, bytes, .. } = server.counted();
     let seconds = instants.len() as f64 / RATE * clip.header.hands.len().max(1) as f64;
-    let kbit = |bytes: u64| bytes as f64 * 8.0 / 1000.0 / seconds;
-    Ok([kbit(payload), kbit(bytes + messages * TCP_IP)])
+    let rates = |from: usize, to: usize| {
+        let told = |of: fn(&Counted) -> u64| (of(&counted[to]) - of(&counted[from])) as f64;
+        let kbit = |bytes: f64| bytes * 8.0 / 1000.0 / seconds / (to - from) as f64;
+        [kbit(told(|c| c.payload)), kbit(told(|c| c.bytes + c.messages * TCP_IP))]
+    };
+    Ok([rates(0, 1), rates(SETTLED, PASSES)])
 }
 
 /// Sends a clip over and over, so many instants a second, until told to stop.
@@ -284,11 +303,8 @@ fn play(
             if publisher.wants_intra() {
                 sender.request_intra();
             }
-            // There and back, so that the hand does not leap.
-            let (length, n) = (instants.len(), n as usize);
-            let at = n % (2 * length);
-            let poses = &instants[if at < length { at } else { 2 * length - 1 - at }];
-            let planes = sender.push(n as f64 / RATE, clock_ms(), poses, &known)?;
+            let poses = there_and_back(&instants, n as usize);
+            let planes = sender.push(f64::from(n) / RATE, clock_ms(), poses, &known)?;
             if let Some(hello) = sender.take_hello() {
                 publisher.hello(&hello)?;
             }
@@ -395,7 +411,7 @@ fn crowd(args: &Args) -> anyhow::Result<Report> {
         cpu_us_a_delivery: cpu.map(|seconds| seconds * 1e6 / counted.deliveries as f64),
         us_a_delivery: counted.fanout_ns as f64 / 1000.0 / counted.deliveries as f64,
         join_ms: Times::default(),
-        kbit_per_s: [[0.0; 2]; 3],
+        kbit_per_s: [[[0.0; 2]; 2]; 3],
         resident_mib: before.zip(middle).zip(after).map(|((a, b), c)| [a, c, c - b - own]),
         lossy_ms: Vec::new(),
         encode_to_drawn_ms: None,

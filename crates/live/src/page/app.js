@@ -220,7 +220,8 @@ function paint(force) {
     painter.show(hands);
     painter.paint(orbit, hands);
     painted = true;
-    if (poses.length) passing.push({ sync: painter.gl.fenceSync(painter.gl.SYNC_GPU_COMMANDS_COMPLETE, 0), poses });
+    const sync = poses.length ? painter.gl.fenceSync(painter.gl.SYNC_GPU_COMMANDS_COMPLETE, 0) : null;
+    if (sync) passing.push({ sync, poses });
     if (hands.length && skinned === null) behindFirst ??= painter.gl.fenceSync(painter.gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
   }
   if (worn && skinned !== null) sketch.clear(); else sketch.paint(orbit.matrix, hands, width, height, dense);
