@@ -38,6 +38,8 @@ function byMarks(hand) {
 const run = (first, end) => first * 32 + end;
 const rows = (key, each) => [Math.floor(key / 32) % 32, Math.floor(key) % 32].map(at => at * each);
 
+const square = (x, y, z = 0) => x * x + y * y + z * z;
+
 // Gives the corners of a triangle: three places at rest behind one another, their middle, and how far they are from it.
 function cornersOf({ vertices, triangles, cube }) {
   const places = new Int16Array(vertices.slice().buffer);
@@ -52,10 +54,8 @@ function cornersOf({ vertices, triangles, cube }) {
         middle[i] += at[3 * k + i] / 3;
       }
     }
-    triangle.radius = 0;
-    for (let k = 0; k < 9; k += 3) {
-      triangle.radius = Math.max(triangle.radius, Math.hypot(at[k] - middle[0], at[k + 1] - middle[1], at[k + 2] - middle[2]));
-    }
+    const off = k => square(at[k] - middle[0], at[k + 1] - middle[1], at[k + 2] - middle[2]);
+    triangle.radius = Math.sqrt(Math.max(off(0), off(3), off(6)));
     return triangle;
   };
 }
@@ -87,8 +87,8 @@ function creaseFinder({ creases, crease_width: width }) {
   }
   return finder(creases.length / CREASE, ({ at, middle, radius }, n) => {
     const c = n * CREASE;
-    const off = Math.hypot(middle[0] - creases[c], middle[1] - creases[c + 1], middle[2] - creases[c + 2]);
-    if (off - radius > 1.6 * creases[c + 3]) return false;
+    const off = square(middle[0] - creases[c], middle[1] - creases[c + 1], middle[2] - creases[c + 2]);
+    if (off > (1.6 * creases[c + 3] + radius) ** 2) return false;
     return least(at, planes, c + 4) < FAINT * width && most(at, planes, c + 4) > -FAINT * width && most(at, planes, c + 8) > 0;
   });
 }
@@ -101,11 +101,11 @@ const nailFinder = ({ nails }) => finder(nails.length / NAIL, ({ at }, n) => {
 
 const lineFinder = ({ lines, crease_width: width }) => finder(lines.length / 2 / LINE, ({ at, middle, radius }, n) => {
   if (Math.max(at[2], at[5], at[8]) <= 0) return false;
-  const [x, y] = middle;
+  const [[x, y], reach] = [middle, (FAINT * 1.2 * width + radius) ** 2];
   for (let i = 2 * n * LINE; i < 2 * (n + 1) * LINE - 2; i += 2) {
     const [dx, dy, ox, oy] = [lines[i + 2] - lines[i], lines[i + 3] - lines[i + 1], x - lines[i], y - lines[i + 1]];
-    const t = Math.min(1, Math.max(0, (ox * dx + oy * dy) / Math.max(dx * dx + dy * dy, 1e-12)));
-    if (Math.hypot(ox - t * dx, oy - t * dy) < FAINT * 1.2 * width + radius) return true;
+    const t = Math.min(1, Math.max(0, (ox * dx + oy * dy) / Math.max(square(dx, dy), 1e-12)));
+    if (square(ox - t * dx, oy - t * dy) < reach) return true;
   }
   return false;
 });
