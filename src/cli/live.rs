@@ -3,6 +3,7 @@
 mod address;
 mod avatar;
 mod capture;
+mod passed;
 mod record;
 mod status;
 mod work;

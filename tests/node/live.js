@@ -1,8 +1,10 @@
 // Opens the page of a room in headless Chromium, once or several times, and says what it shows.
 // Usage: live.js CHROMIUM JOB.json
-// A job: {url, pages: [{width, height, shot: FILE, hash, send: bool, hands}], seconds, video: FILE.y4m (fake camera), steps}.
+// A job: {url, pages: [{width, height, shot: FILE, hash, send: bool, hands}], seconds, video: FILE.y4m (fake camera), steps, again}.
 // Steps are conditions on the first page's `state`; a line `step N` on standard output says that the next has come true.
-// Prints one JSON object: for each page its state, what was drawn, console messages, and addresses asked for.
+// `again`: so many times the first page is opened anew in its browser, which then runs, with nothing kept of the times before.
+// Prints one JSON object: for each page its state, what was drawn, console messages, and addresses asked for; of the first also
+// `again`, how long each of these times took to the first hand.
 import { readFileSync } from "node:fs";
 import { chromium } from "playwright-core";
 import { complaints, until } from "./browser.js";
@@ -14,6 +16,18 @@ if (job.video) {
   args.push("--use-fake-ui-for-media-stream", "--use-fake-device-for-media-stream", `--use-file-for-fake-video-capture=${job.video}`);
 }
 const browsers = [];
+
+// Milliseconds that a page of a running browser takes to its first hand, from asking for the room.
+async function joined(browser, { width, height, hash }) {
+  const context = await browser.newContext({ viewport: { width, height }, hasTouch: true });
+  const page = await context.newPage();
+  await page.goto(job.url + (hash ?? ""));
+  await until(page, "window.handcast && window.handcast.state().joined !== null", job.patience);
+  const took = await page.evaluate("window.handcast.state().joined");
+  await context.close();
+  return took;
+}
+
 try {
   const pages = [];
   for (const wanted of job.pages) {
@@ -47,6 +61,11 @@ try {
     const text = await page.evaluate("[...document.querySelectorAll('.readout, #facts')].map(e => e.textContent)");
     if (wanted.shot) await page.screenshot({ path: wanted.shot });
     told.push({ state, drawn, messages, requests, joined, overflow, text });
+  }
+  if (job.again) {
+    await pages[0].page.context().close();
+    told[0].again = [];
+    for (let n = 0; n < job.again; n += 1) told[0].again.push(await joined(browsers[0], job.pages[0]));
   }
   console.log(JSON.stringify(told));
 } finally {

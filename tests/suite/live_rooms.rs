@@ -174,6 +174,80 @@ fn the_page_tells_that_a_sender_was_killed_and_shows_the_next_one() {
     next.die();
 }
 
+/// All marks, looked at with the formulas of the shader at places of each triangle: those that its group leaves out show nothing
+/// there, and most triangles are of the group without any.
+#[test]
+#[ignore = "needs node"]
+fn marks_are_looked_for_where_they_show() {
+    let script = r#"
+        const [root] = process.argv.slice(1);
+        const { readFileSync } = await import("node:fs");
+        const { load, loadSurface } = await import(`${root}/handcast.js`);
+        const bytes = name => readFileSync(new URL(`${root}/${name}`));
+        const { averageSizes } = await load(bytes("handcast_decoder.wasm"));
+        const surface = await loadSurface(bytes("handcast_surface.wasm"));
+        const byMarks = new Function(`${bytes("src/page/marks.js")}; return byMarks;`)();
+        const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+        const clamp = v => Math.min(1, Math.max(0, v));
+        const step = (from, to, v) => { const t = clamp((v - from) / (to - from)); return t * t * (3 - 2 * t); };
+        const creaseAt = (s, i, p) => {
+            const own = s.creases.subarray(4 * i, 4 * i + 12);
+            const off = p.map((v, k) => v - own[k]);
+            const along = dot(off, own.subarray(4)) / s.crease_width;
+            return Math.exp(-along * along) * step(0, 0.8, dot(off, own.subarray(8)) / own[3]) * (1 - step(1.3, 1.6, Math.hypot(...off) / own[3]));
+        };
+        const lineAt = (s, i, p) => {
+            if (i % 8 === 7 || p[2] <= 0) return 0;
+            const [ax, ay, bx, by] = s.lines.subarray(2 * i, 2 * i + 4);
+            const [dx, dy, x, y] = [bx - ax, by - ay, p[0] - ax, p[1] - ay];
+            const t = clamp((x * dx + y * dy) / (dx * dx + dy * dy));
+            return Math.exp(-((Math.hypot(x - t * dx, y - t * dy) / (1.2 * s.crease_width)) ** 2));
+        };
+        const nailAt = (s, i, p) => {
+            const [x, y, z] = [0, 1, 2].map(k => dot(s.nails.subarray(4 * (i + k)), p) + s.nails[4 * (i + k) + 3]);
+            return z > 0.25 && Math.abs(x) < 1.5 && Math.abs(y) < 1.5 ? 1 : 0;
+        };
+        const told = ["left", "right"].map(side => {
+            const s = surface(side, averageSizes(), { fine: false });
+            const places = new Int16Array(s.vertices.buffer);
+            const place = v => [0, 1, 2].map(k => s.cube[k] + (s.cube[3] * places[16 * v + k]) / 32767);
+            const { sorted, ranges } = byMarks(s);
+            let missed = 0;
+            for (const { first, count, creases, nails, lines } of ranges) {
+                for (let at = first; at < first + count; at += 3) {
+                    const corners = [...sorted.subarray(at, at + 3)].map(place);
+                    for (const w of [[1, 0, 0], [0, 1, 0], [0, 0, 1], [0.5, 0.5, 0], [0, 0.5, 0.5], [0.5, 0, 0.5], [1 / 3, 1 / 3, 1 / 3]]) {
+                        const p = [0, 1, 2].map(k => w[0] * corners[0][k] + w[1] * corners[1][k] + w[2] * corners[2][k]);
+                        const look = (many, each, [from, to], value) => {
+                            for (let i = 0; i < many; i += each) if (i < from || i >= to) missed = Math.max(missed, value(s, i, p));
+                        };
+                        look(54, 3, creases, creaseAt);
+                        look(15, 3, nails, nailAt);
+                        look(24, 1, lines, lineAt);
+                    }
+                }
+            }
+            const all = ranges.reduce((sum, range) => sum + range.count, 0);
+            const same = [...sorted].sort((a, b) => a - b).join() === [...s.triangles].sort((a, b) => a - b).join();
+            return { missed, same, all: all === sorted.length, plain: ranges[0].count / all };
+        });
+        console.log(JSON.stringify(told));
+    "#;
+    let root = concat!("file://", env!("CARGO_MANIFEST_DIR"), "/crates/js");
+    let out = Command::new("node").args(["--input-type=module", "-e", script, root]).output().unwrap();
+    assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
+    let told: Vec<Value> = serde_json::from_slice(&out.stdout).unwrap();
+    for hand in &told {
+        // Of a step of eight bits a crease takes 0.38 of what it is deep.
+        assert!(hand["missed"].as_f64().unwrap() < 0.5 / 255.0, "{hand}");
+        assert!(
+            hand["same"] == true && hand["all"] == true && hand["plain"].as_f64().unwrap() > 0.7,
+            "{hand}"
+        );
+    }
+    assert_eq!(told.len(), 2);
+}
+
 /// Of a card on which a whole picture takes so many milliseconds, on a screen of 60 pictures a second.
 #[test]
 #[ignore = "needs node"]

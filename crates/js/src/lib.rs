@@ -17,7 +17,11 @@ pub const SENDER: &[u8] = include_bytes!("../handcast_sender.wasm");
 
 /// The scripts with which pages draw hands and steer the camera: `Painter`, `Orbit`, `steer`, and the vectors and matrices they
 /// work with.
-pub const DRAWING: &str =
-    concat!(include_str!("page/maths.js"), include_str!("page/draw.js"), include_str!("page/camera.js"));
+pub const DRAWING: &str = concat!(
+    include_str!("page/maths.js"),
+    include_str!("page/marks.js"),
+    include_str!("page/draw.js"),
+    include_str!("page/camera.js")
+);
 /// The pages' style: colours, type, charts, and how they go together on a phone.
 pub const STYLE: &str = include_str!("page/style.css");

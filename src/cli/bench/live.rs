@@ -27,6 +27,11 @@ use crate::cli::usage::positive;
 
 /// Bytes of TCP and IP around a message of its own: 20 and 20, and 12 of time stamps.
 const TCP_IP: u64 = 52;
+/// Times that a clip is sent to count its bits, and those of them after which a stream has seen what moves how far.
+const PASSES: usize = 6;
+const SETTLED: usize = 2;
+/// Times that a page is opened in a browser that runs.
+const AGAIN: usize = 9;
 /// Planes a second.
 const RATE: f64 = 30.0;
 
@@ -87,13 +92,16 @@ struct Report {
     /// Processor time of the room's thread for a delivery, microseconds, all else that it does included.
     cpu_us_a_delivery: Option<f64>,
     join_ms: Times,
-    /// Payload and wire, kbit/s of a hand, of one plane, two and three a message.
-    kbit_per_s: [[f64; 2]; 3],
+    /// Payload and wire, kbit/s of a hand, of one plane, two and three a message: of the clip, and of its third to sixth time.
+    kbit_per_s: [[[f64; 2]; 2]; 3],
     /// Resident before and behind the readers, MiB, and the growth over the second half of their time.
     resident_mib: Option<[f64; 3]>,
     /// From encoding to a viewer behind a way that loses segments: the share, and the times.
     lossy_ms: Vec<(f64, Times)>,
+    /// To the picture in which a page draws it.
     encode_to_drawn_ms: Option<Times>,
+    /// To the screen's next picture once the graphics card has drawn that one.
+    encode_to_shown_ms: Option<Times>,
     page_joins_ms: Option<Joins>,
 }
 
@@ -106,6 +114,8 @@ struct Joins {
     asked: f64,
     /// From there until the hand has its skin.
     skinned: f64,
+    /// From asking for the room in a browser that has been running, in the middle and the longest of [`AGAIN`].
+    running: [f64; 2],
 }
 
 /// Runs the measurement.
@@ -123,8 +133,9 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     report.join_ms = join_ms;
     report.kbit_per_s = kbit_per_s;
     if let Some(chromium) = &args.chromium {
-        let (drawn, joins) = drawn(&clip, chromium, &args.script)?;
+        let (drawn, shown, joins) = drawn(&clip, chromium, &args.script)?;
         report.encode_to_drawn_ms = Some(drawn);
+        report.encode_to_shown_ms = Some(shown);
         report.page_joins_ms = Some(joins);
     }
     if args.json {
@@ -156,10 +167,12 @@ fn tell(report: &Report) {
         report.missed
     );
     outln!("joining, to the last pose    {}", times(&report.join_ms));
-    for (what, [payload, wire]) in
+    for (what, [[payload, wire], [later, wire_later]]) in
         ["one plane a message ", "two planes a message", "three               "].iter().zip(report.kbit_per_s)
     {
-        outln!("{what}         {wire:.2} kbit/s a hand on the wire, {payload:.2} of them planes");
+        outln!(
+            "{what}         {wire:.2} kbit/s a hand on the wire, {payload:.2} of them planes; later {wire_later:.2} and {later:.2}"
+        );
     }
     for (loss, late) in &report.lossy_ms {
         outln!("20 ms away, {:.1} % lost       {}", loss * 100.0, times(late));
@@ -169,14 +182,18 @@ fn tell(report: &Report) {
             "memory                       {before:.1} MiB, {behind:.1} with the readers, {growth:+.2} in the second half"
         );
     }
-    match (&report.encode_to_drawn_ms, report.page_joins_ms) {
-        (Some(drawn), Some(joins)) => {
+    match (&report.encode_to_drawn_ms, &report.encode_to_shown_ms, report.page_joins_ms) {
+        (Some(drawn), Some(shown), Some(joins)) => {
             outln!("encoded to drawn in a page   {}", times(drawn));
-            let Joins { opened, asked, skinned } = joins;
+            outln!("to what the screen shows     {}", times(shown));
+            let Joins { opened, asked, skinned, running: [middle, longest] } = joins;
             outln!(
                 "a page's first hand          {asked:.0} ms after asking for the room, {opened:.0} after opening the page"
             );
             outln!("with its skin                {skinned:.0} ms after asking for the room");
+            outln!(
+                "in a browser that runs       first hand {middle:.0} ms after asking, {longest:.0} at most of {AGAIN}"
+            );
         }
         _ => outln!("encoded to drawn in a page   not measured: --chromium FILE"),
     }
@@ -220,36 +237,50 @@ fn instants(clip: &PoseClip) -> Vec<Vec<TimedPose>> {
     out
 }
 
-/// Kilobits a second and hand of payload and on the wire, so many planes a message.
-fn wire(clip: &PoseClip, together: usize) -> anyhow::Result<[f64; 2]> {
+/// The poses of an instant of a clip that goes there and back, so that the hand does not leap.
+fn there_and_back(instants: &[Vec<TimedPose>], n: usize) -> &[TimedPose] {
+    let length = instants.len();
+    let at = n % (2 * length).max(1);
+    instants.get(if at < length { at } else { 2 * length - 1 - at }).map_or(&[], Vec::as_slice)
+}
+
+/// Kilobits a second and hand of payload and on the wire, so many planes a message: of the clip, and of it once the stream has
+/// seen what moves how far.
+fn wire(clip: &PoseClip, together: usize) -> anyhow::Result<[[f64; 2]; 2]> {
     let server = server()?;
     let mut publisher = server.publisher()?;
     let mut sender = PoseSender::new(LivePoseEncoderOptions::default());
     let instants = instants(clip);
     let mut waiting: Vec<Plane> = Vec::new();
     let mut expected = 0;
-    for (n, poses) in instants.iter().enumerate() {
-        let seconds = n as f64 / RATE;
-        let planes = sender.push(seconds, (seconds * 1000.0) as u32, poses, &clip.header)?;
-        let rests = planes.is_empty();
-        expected += planes.iter().map(|plane| plane.payload.len() as u64).sum::<u64>();
-        waiting.extend(planes);
-        while waiting.len() >= together || rests && !waiting.is_empty() {
-            let many = together.min(waiting.len());
-            publisher.planes(&waiting.drain(..many).collect::<Vec<_>>())?;
+    let mut counted = vec![Counted::default()];
+    for pass in 0..PASSES {
+        for n in pass * instants.len()..(pass + 1) * instants.len() {
+            let (seconds, poses) = (n as f64 / RATE, there_and_back(&instants, n));
+            let planes = sender.push(seconds, (seconds * 1000.0) as u32, poses, &clip.header)?;
+            let rests = planes.is_empty();
+            expected += planes.iter().map(|plane| plane.payload.len() as u64).sum::<u64>();
+            waiting.extend(planes);
+            while waiting.len() >= together || rests && !waiting.is_empty() {
+                let many = together.min(waiting.len());
+                publisher.planes(&waiting.drain(..many).collect::<Vec<_>>())?;
+            }
         }
+        publisher.planes(&std::mem::take(&mut waiting))?;
+        let patience = Instant::now() + Duration::from_secs(20);
+        while server.counted().payload < expected {
+            ensure!(Instant::now() < patience, "the room does not take all planes");
+            std::thread::sleep(Duration::from_millis(20));
+        }
+        counted.push(server.counted());
     }
-    publisher.planes(&waiting)?;
-    publisher.end()?;
-    let patience = Instant::now() + Duration::from_secs(20);
-    while server.counted().payload < expected {
-        ensure!(Instant::now() < patience, "the room does not take all planes");
-        std::thread::sleep(Duration::from_millis(20));
-    }
-    let Counted { payload, messages, bytes, .. } = server.counted();
     let seconds = instants.len() as f64 / RATE * clip.header.hands.len().max(1) as f64;
-    let kbit = |bytes: u64| bytes as f64 * 8.0 / 1000.0 / seconds;
-    Ok([kbit(payload), kbit(bytes + messages * TCP_IP)])
+    let rates = |from: usize, to: usize| {
+        let told = |of: fn(&Counted) -> u64| (of(&counted[to]) - of(&counted[from])) as f64;
+        let kbit = |bytes: f64| bytes * 8.0 / 1000.0 / seconds / (to - from) as f64;
+        [kbit(told(|c| c.payload)), kbit(told(|c| c.bytes + c.messages * TCP_IP))]
+    };
+    Ok([rates(0, 1), rates(SETTLED, PASSES)])
 }
 
 /// Sends a clip over and over, so many instants a second, until told to stop.
@@ -272,11 +303,8 @@ fn play(
             if publisher.wants_intra() {
                 sender.request_intra();
             }
-            // There and back, so that the hand does not leap.
-            let (length, n) = (instants.len(), n as usize);
-            let at = n % (2 * length);
-            let poses = &instants[if at < length { at } else { 2 * length - 1 - at }];
-            let planes = sender.push(n as f64 / RATE, clock_ms(), poses, &known)?;
+            let poses = there_and_back(&instants, n as usize);
+            let planes = sender.push(f64::from(n) / RATE, clock_ms(), poses, &known)?;
             if let Some(hello) = sender.take_hello() {
                 publisher.hello(&hello)?;
             }
@@ -383,10 +411,11 @@ fn crowd(args: &Args) -> anyhow::Result<Report> {
         cpu_us_a_delivery: cpu.map(|seconds| seconds * 1e6 / counted.deliveries as f64),
         us_a_delivery: counted.fanout_ns as f64 / 1000.0 / counted.deliveries as f64,
         join_ms: Times::default(),
-        kbit_per_s: [[0.0; 2]; 3],
+        kbit_per_s: [[[0.0; 2]; 2]; 3],
         resident_mib: before.zip(middle).zip(after).map(|((a, b), c)| [a, c, c - b - own]),
         lossy_ms: Vec::new(),
         encode_to_drawn_ms: None,
+        encode_to_shown_ms: None,
         page_joins_ms: None,
     })
 }
@@ -412,7 +441,7 @@ fn cpu_seconds(name: &str) -> Option<f64> {
 }
 
 /// From encoding to the picture in a page, and from opening a page to a hand in it.
-fn drawn(clip: &PoseClip, chromium: &Path, script: &Path) -> anyhow::Result<(Times, Joins)> {
+fn drawn(clip: &PoseClip, chromium: &Path, script: &Path) -> anyhow::Result<(Times, Times, Joins)> {
     let server = server()?;
     let stop = Arc::new(AtomicBool::new(false));
     // A little slower, so that planes come at all phases of the screen's pictures.
@@ -424,6 +453,7 @@ fn drawn(clip: &PoseClip, chromium: &Path, script: &Path) -> anyhow::Result<(Tim
         "url": format!("http://{}/hand", server.address()),
         "pages": [{ "width": 420, "height": 420, "hash": "#buffer=0" }],
         "seconds": 15,
+        "again": AGAIN,
     });
     std::fs::write(&job, serde_json::to_vec(&told)?)?;
     let output = Command::new("node").arg(script).arg(chromium).arg(&job).output().context("node")?;
@@ -434,10 +464,17 @@ fn drawn(clip: &PoseClip, chromium: &Path, script: &Path) -> anyhow::Result<(Tim
     let drawn = told[0]["drawn"].as_array().context("what was drawn")?;
     // Before the first skin the page loads and compiles.
     let skinned = drawn.iter().filter(|one| one["skinned"] == true);
-    let times = skinned.filter_map(|one| one["latency"].as_f64()).collect();
+    let of = |what: &str| Times::of(skinned.clone().filter_map(|one| one[what].as_f64()).collect());
     let ms = |value: &serde_json::Value| value.as_f64().unwrap_or(f64::NAN);
     let state = &told[0]["state"];
-    let joins =
-        Joins { opened: ms(&told[0]["joined"]), asked: ms(&state["joined"]), skinned: ms(&state["skinned"]) };
-    Ok((Times::of(times), joins))
+    let mut again: Vec<f64> = told[0]["again"].as_array().into_iter().flatten().map(ms).collect();
+    again.sort_by(f64::total_cmp);
+    let at = |place: usize| again.get(place).copied().unwrap_or(f64::NAN);
+    let joins = Joins {
+        opened: ms(&told[0]["joined"]),
+        asked: ms(&state["joined"]),
+        skinned: ms(&state["skinned"]),
+        running: [at(AGAIN / 2), at(AGAIN - 1)],
+    };
+    Ok((of("latency"), of("shown"), joins))
 }

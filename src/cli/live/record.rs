@@ -12,6 +12,8 @@ use handcast_live::wire::Plane;
 use crate::cli::common::{ending, write_output};
 use crate::cli::files::{begin_partial, set_aside, try_file};
 
+use super::passed::Passed;
+
 /// The code that ends a stream.
 const END: [u8; 4] = SEQUENCE_END.to_be_bytes();
 
@@ -19,8 +21,8 @@ const END: [u8; 4] = SEQUENCE_END.to_be_bytes();
 pub enum Place {
     /// Into a file.
     File(PathBuf),
-    /// Into a pipe, a device or standard output, plane by plane.
-    Passed(Box<dyn Write>),
+    /// Into a pipe, a device or standard output, plane by plane, which holds up nobody.
+    Passed(Box<dyn Write + Send>),
 }
 
 /// Whether a name means standard output, whatever that is.
@@ -63,7 +65,7 @@ pub struct Recording {
 
 enum Sink {
     Beside { path: PathBuf, partial: PathBuf, file: File },
-    Passed(Box<dyn Write>),
+    Passed(Passed),
 }
 
 impl Sink {
@@ -74,10 +76,7 @@ impl Sink {
                 let end: &[u8] = if ended { &[] } else { &END };
                 file.write_all(&[payload, end].concat())
             }
-            Self::Passed(into) => {
-                into.write_all(payload)?;
-                into.flush()
-            }
+            Self::Passed(into) => into.add(payload),
         }
     }
 
@@ -94,7 +93,7 @@ impl Sink {
 impl Recording {
     pub fn create(place: Place) -> anyhow::Result<Self> {
         let sink = match place {
-            Place::Passed(into) => Sink::Passed(into),
+            Place::Passed(into) => Sink::Passed(Passed::new(into).context("the recording")?),
             Place::File(path) => {
                 let partial = path.with_extension("partial.fba");
                 if partial.is_file() {
@@ -107,7 +106,7 @@ impl Recording {
         Ok(Self { sink, whole: 0, ended: false })
     }
 
-    /// Adds planes; where one cannot be written, those before it are the recording.
+    /// Adds planes; where one cannot be written, or too many wait in a pipe for their reader, those before it are the recording.
     pub fn add(&mut self, planes: &[Plane]) -> anyhow::Result<()> {
         for Plane { payload, .. } in planes.iter().filter(|plane| !plane.payload.is_empty()) {
             let ended = payload.ends_with(&END);
@@ -130,15 +129,15 @@ impl Recording {
 
     /// Puts the planes under the file's name. Where nothing was sent there is none; where it cannot be written they stay
     /// beside it.
-    pub fn finish(self) -> anyhow::Result<()> {
+    pub fn finish(mut self) -> anyhow::Result<()> {
         if !self.is_begun() {
             errln!("handcast: there was nothing to record, so that there is no recording");
             return Ok(());
         }
-        match &self.sink {
+        match &mut self.sink {
             Sink::Beside { path, partial, .. } => placed(path, partial)
                 .with_context(|| format!("what was recorded is in {}", partial.display())),
-            Sink::Passed(_) => Ok(()),
+            Sink::Passed(into) => into.finish().context("the recording"),
         }
     }
 }

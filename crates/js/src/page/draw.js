@@ -49,9 +49,13 @@ void main() {
   gl_Position = u_eye * vec4(v_place, 1.0);
 }`;
 
-const HAND_FRAGMENT = `#version 300 es
+// taps: along a side of the square of the shadow map's places that are looked at; apart: from one to the next, as a share of
+// the map.
+const handFragment = (taps, apart) => `#version 300 es
 precision highp float;
 precision highp sampler2DShadow;
+const int TAPS = ${taps};
+const float APART = ${apart};
 in vec3 v_place;
 in vec3 v_normal;
 in vec4 v_tint;
@@ -67,49 +71,11 @@ uniform float u_width;
 uniform vec4 u_creases[54];
 uniform vec4 u_nails[15];
 uniform vec2 u_lines[24];
+// Which of them these triangles may show: from one on, up to one (marks.js).
+uniform ivec2 u_of_creases;
+uniform ivec2 u_of_nails;
+uniform ivec2 u_of_lines;
 out vec4 colour;
-
-// Creases, nails, the folds around them and their pale parts, as in src/hand/mesh/marks.rs.
-float crease_at(vec3 p) {
-  float deepest = 0.0;
-  for (int i = 0; i < 54; i += 3) {
-    vec3 off = p - u_creases[i].xyz;
-    float radius = u_creases[i].w;
-    float reach = length(off) / radius;
-    if (reach >= 1.6) continue;
-    float side = smoothstep(0.0, 0.8, dot(off, u_creases[i + 2].xyz) / radius);
-    float along = dot(off, u_creases[i + 1].xyz) / u_width;
-    deepest = max(deepest, exp(-along * along) * side * (1.0 - smoothstep(1.3, 1.6, reach)));
-  }
-  if (p.z <= 0.0) return deepest;
-  float front = smoothstep(0.0, 0.006, p.z);
-  for (int i = 0; i < 23; i += 1) {
-    if (i % 8 == 7) continue;
-    vec2 along = u_lines[i + 1] - u_lines[i];
-    vec2 off = p.xy - u_lines[i];
-    float t = clamp(dot(off, along) / max(dot(along, along), 1e-12), 0.0, 1.0);
-    float d = length(off - t * along) / (1.2 * u_width);
-    float share = (float(i % 8) + t) / 7.0;
-    deepest = max(deepest, front * exp(-d * d) * smoothstep(0.0, 0.25, share) * (1.0 - smoothstep(0.7, 1.0, share)));
-  }
-  return deepest;
-}
-vec3 nail_at(vec3 p) {
-  vec3 found = vec3(0.0);
-  for (int i = 0; i < 15; i += 3) {
-    vec4 q = vec4(p, 1.0);
-    vec3 n = vec3(dot(u_nails[i], q), dot(u_nails[i + 1], q), dot(u_nails[i + 2], q));
-    if (n.z <= 0.25 || abs(n.x) > 1.5 || abs(n.y) > 1.5) continue;
-    float inside = 1.0 - n.x * n.x * n.x * n.x - n.y * n.y * n.y * n.y;
-    float face = smoothstep(0.25, 0.45, n.z);
-    float rim = (inside + 0.05) / 0.4;
-    found.x = max(found.x, face * smoothstep(0.0, 0.25, inside));
-    found.y = max(found.y, face * exp(-rim * rim) * (1.0 - smoothstep(0.3, 0.9, n.y)));
-    float root = 1.0 - smoothstep(-0.72, -0.5, n.y + 0.25 * n.x * n.x);
-    found.z = max(found.z, max(root, smoothstep(0.62, 0.74, n.y + 0.2 * n.x * n.x)));
-  }
-  return found;
-}
 
 float hash(ivec3 p) {
   uvec3 q = uvec3(p) * uvec3(0x8DA6B343u, 0xD8163841u, 0xCB1AB31Fu);
@@ -128,16 +94,59 @@ float noise(vec3 p) {
   vec2 y = mix(z.xy, z.zw, f.y);
   return mix(y.x, y.y, f.x);
 }
+// How deep creases are stained, looked up where there is one.
+float worn_at(vec3 p) { return 0.8 + 0.2 * noise(p / 0.004); }
+// Creases, nails, the folds around them and their pale parts, as in src/hand/mesh/marks.rs.
+float crease_at(vec3 p) {
+  float deepest = 0.0;
+  for (int i = u_of_creases.x; i < u_of_creases.y; i += 3) {
+    vec3 off = p - u_creases[i].xyz;
+    float radius = u_creases[i].w;
+    float reach = length(off) / radius;
+    if (reach >= 1.6) continue;
+    float side = smoothstep(0.0, 0.8, dot(off, u_creases[i + 2].xyz) / radius);
+    float along = dot(off, u_creases[i + 1].xyz) / u_width;
+    deepest = max(deepest, worn_at(p) * exp(-along * along) * side * (1.0 - smoothstep(1.3, 1.6, reach)));
+  }
+  float front = smoothstep(0.0, 0.006, p.z);
+  for (int i = u_of_lines.x; i < u_of_lines.y; i += 1) {
+    if (i % 8 == 7) continue;
+    vec2 along = u_lines[i + 1] - u_lines[i];
+    vec2 off = p.xy - u_lines[i];
+    float t = clamp(dot(off, along) / max(dot(along, along), 1e-12), 0.0, 1.0);
+    float d = length(off - t * along) / (1.2 * u_width);
+    float share = (float(i % 8) + t) / 7.0;
+    deepest = max(deepest, worn_at(p) * front * exp(-d * d) * smoothstep(0.0, 0.25, share) * (1.0 - smoothstep(0.7, 1.0, share)));
+  }
+  return deepest;
+}
+vec3 nail_at(vec3 p) {
+  vec3 found = vec3(0.0);
+  for (int i = u_of_nails.x; i < u_of_nails.y; i += 3) {
+    vec4 q = vec4(p, 1.0);
+    vec3 n = vec3(dot(u_nails[i], q), dot(u_nails[i + 1], q), dot(u_nails[i + 2], q));
+    if (n.z <= 0.25 || abs(n.x) > 1.5 || abs(n.y) > 1.5) continue;
+    float inside = 1.0 - n.x * n.x * n.x * n.x - n.y * n.y * n.y * n.y;
+    float face = smoothstep(0.25, 0.45, n.z);
+    float rim = (inside + 0.05) / 0.4;
+    found.x = max(found.x, face * smoothstep(0.0, 0.25, inside));
+    found.y = max(found.y, face * exp(-rim * rim) * (1.0 - smoothstep(0.3, 0.9, n.y)));
+    float root = 1.0 - smoothstep(-0.72, -0.5, n.y + 0.25 * n.x * n.x);
+    found.z = max(found.z, max(root, smoothstep(0.62, 0.74, n.y + 0.2 * n.x * n.x)));
+  }
+  return found;
+}
+
 float lit_at(vec3 place, vec3 normal) {
   vec3 at = (u_shadow * vec4(place + normal * 0.0018, 1.0)).xyz * 0.5 + 0.5;
   float sum = 0.0;
-  for (int y = 0; y < 4; y += 1) {
-    for (int x = 0; x < 4; x += 1) {
-      vec2 off = (vec2(x, y) - 1.5) * (1.7 / 1024.0);
+  for (int y = 0; y < TAPS; y += 1) {
+    for (int x = 0; x < TAPS; x += 1) {
+      vec2 off = (vec2(x, y) - 0.5 * float(TAPS - 1)) * APART;
       sum += texture(u_depths, vec3(at.xy + off, at.z - 0.0015));
     }
   }
-  return sum / 16.0;
+  return sum / float(TAPS * TAPS);
 }
 void main() {
   vec3 world = normalize(v_normal);
@@ -148,8 +157,7 @@ void main() {
   vec3 nail = nail_at(v_rest);
   vec3 base = mix(u_skin, u_palm, v_tint.a * (1.0 - nail.x));
   vec3 skin = base * v_tint.rgb * vec3(speck, speck - blood, speck - blood);
-  float worn = 0.8 + 0.2 * noise(v_rest / 0.004);
-  skin *= 1.0 - vec3(0.22, 0.34, 0.38) * (worn * crease_at(v_rest));
+  skin *= 1.0 - vec3(0.22, 0.34, 0.38) * crease_at(v_rest);
   skin *= 1.0 - vec3(0.16, 0.26, 0.28) * nail.y * (1.0 - nail.x);
   skin *= 1.0 + nail.x * (vec3(0.04, -0.03, 0.0) + vec3(0.04, 0.14, 0.20) * nail.z);
   skin += 0.55 * nail.x * max(vec3(0.60, 0.36, 0.28) - base, 0.0);
@@ -182,14 +190,26 @@ function palmOf(skin) {
   return [0.66, 0.37, 0.27].map((pale, k) => skin[k] + share * Math.max(pale - skin[k], 0.04 * skin[k]));
 }
 
-// hands: what is drawn, each with its surface; see src/view/hand.rs. shadowSide: texels along the shadow map.
+// Renderers of browsers and systems that have no graphics card.
+const BY_PROCESSOR = /swiftshader|llvmpipe|softpipe|basic render/i;
+function hasCard(gl) {
+  const names = gl.getExtension("WEBGL_debug_renderer_info");
+  return !BY_PROCESSOR.test(gl.getParameter(names?.UNMASKED_RENDERER_WEBGL ?? gl.RENDERER));
+}
+
+// Edges are smoothed by so many samples.
+const SAMPLES = 4;
+
+// hands: what is drawn, each with its surface; see src/view/hand.rs. swift: pictures are to come in time, with a smaller shadow
+// map and, where there is no graphics card, edges that are not smoothed, which would be a third of what a picture takes.
 class Painter {
-  constructor(canvas, hands, shadowSide = 1024) {
-    this.shadowSide = shadowSide;
+  constructor(canvas, hands, { swift = false } = {}) {
+    this.swift = swift;
+    this.shadowSide = swift ? 512 : 1024;
     this.canvas = canvas;
     this.hands = hands;
     this.skin = SKIN;
-    this.gl = canvas.getContext("webgl2", { alpha: true, antialias: true, premultipliedAlpha: true });
+    this.gl = canvas.getContext("webgl2", { alpha: true, antialias: !swift, premultipliedAlpha: true });
     if (!this.gl) throw new Error("This browser gives no WebGL 2, which draws the skin of hands. All else works without.");
     this.prepare();
   }
@@ -197,7 +217,8 @@ class Painter {
   // Everything on the graphics card; again when it has been lost.
   prepare() {
     const gl = this.gl;
-    this.hand = this.program(HAND_VERTEX, HAND_FRAGMENT);
+    // A map of half the side blurs twice as far by itself.
+    this.hand = this.program(HAND_VERTEX, this.swift ? handFragment(2, 3.2 / 1024) : handFragment(4, 1.7 / 1024));
     this.shade = this.program(SHADOW_VERTEX, SHADOW_FRAGMENT);
     this.depths = gl.createTexture();
     gl.bindTexture(gl.TEXTURE_2D, this.depths);
@@ -211,6 +232,8 @@ class Painter {
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.target);
     gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.DEPTH_ATTACHMENT, gl.TEXTURE_2D, this.depths, 0);
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+    this.hasCard = hasCard(gl);
+    this.samples = this.swift && this.hasCard ? { target: gl.createFramebuffer(), colour: gl.createRenderbuffer(), depth: gl.createRenderbuffer(), size: "" } : null;
     this.meshes = new Map();
     gl.enable(gl.DEPTH_TEST);
     gl.enable(gl.CULL_FACE);
@@ -251,10 +274,11 @@ class Painter {
     gl.vertexAttribPointer(4, 4, gl.UNSIGNED_SHORT, true, 32, 24);
     for (let i = 0; i < 5; i += 1) gl.enableVertexAttribArray(i);
     gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, corners);
-    gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, hand.triangles, gl.STATIC_DRAW);
+    const { sorted, ranges } = byMarks(hand);
+    gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, sorted, gl.STATIC_DRAW);
     gl.bindVertexArray(null);
     const kind = hand.wide ? gl.UNSIGNED_INT : gl.UNSIGNED_SHORT;
-    const mesh = { array, buffers: [vertices, corners], count: hand.triangles.length, kind };
+    const mesh = { array, buffers: [vertices, corners], count: sorted.length, ranges, kind, bytes: sorted.BYTES_PER_ELEMENT };
     this.meshes.set(hand, mesh);
     return mesh;
   }
@@ -305,7 +329,36 @@ class Painter {
     const mesh = this.meshes.get(hand) ?? this.mesh(hand);
     gl.uniform4fv(places.u_cube, hand.cube);
     gl.bindVertexArray(mesh.array);
-    gl.drawElements(gl.TRIANGLES, mesh.count, mesh.kind, 0);
+    if (!places.u_of_creases) return gl.drawElements(gl.TRIANGLES, mesh.count, mesh.kind, 0);
+    for (const { first, count, creases, nails, lines } of mesh.ranges) {
+      gl.uniform2iv(places.u_of_creases, creases);
+      gl.uniform2iv(places.u_of_nails, nails);
+      gl.uniform2iv(places.u_of_lines, lines);
+      gl.drawElements(gl.TRIANGLES, count, mesh.kind, first * mesh.bytes);
+    }
+    return undefined;
+  }
+
+  // Draws into samples of the picture from now on.
+  sampled(width, height) {
+    const { gl, samples } = this;
+    gl.bindFramebuffer(gl.FRAMEBUFFER, samples.target);
+    if (samples.size === `${width} ${height}`) return;
+    samples.size = `${width} ${height}`;
+    for (const [buffer, format, place] of [[samples.colour, gl.RGBA8, gl.COLOR_ATTACHMENT0], [samples.depth, gl.DEPTH_COMPONENT24, gl.DEPTH_ATTACHMENT]]) {
+      gl.bindRenderbuffer(gl.RENDERBUFFER, buffer);
+      gl.renderbufferStorageMultisample(gl.RENDERBUFFER, SAMPLES, format, width, height);
+      gl.framebufferRenderbuffer(gl.FRAMEBUFFER, place, gl.RENDERBUFFER, buffer);
+    }
+  }
+
+  // Makes the picture of its samples.
+  resolve(width, height) {
+    const { gl, samples } = this;
+    gl.bindFramebuffer(gl.READ_FRAMEBUFFER, samples.target);
+    gl.bindFramebuffer(gl.DRAW_FRAMEBUFFER, null);
+    gl.blitFramebuffer(0, 0, width, height, 0, 0, width, height, gl.COLOR_BUFFER_BIT, gl.NEAREST);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
   }
 
   // posed: for each hand its joint frames, skinning rows, whether it counts, and its skin (linear light) where it has one of its own.
@@ -313,7 +366,9 @@ class Painter {
     const gl = this.gl;
     if (gl.isContextLost()) return;
     const shadow = posed.length ? this.shadows(camera, posed) : null;
-    gl.viewport(0, 0, this.canvas.width, this.canvas.height);
+    const { width, height } = this.canvas;
+    if (this.samples) this.sampled(width, height);
+    gl.viewport(0, 0, width, height);
     gl.clearColor(0, 0, 0, 0);
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
     const { program, places } = this.hand;
@@ -334,5 +389,6 @@ class Painter {
       this.draw(this.hand, p, i, camera.matrix);
     });
     gl.bindTexture(gl.TEXTURE_2D, null);
+    if (this.samples) this.resolve(width, height);
   }
 }

@@ -20,9 +20,10 @@ function say(text) {
 
 // A hand of a sender: where its joints are now, and its surface once that is there.
 class Shown {
-  constructor(side, version) {
+  constructor(side, version, fine) {
     this.side = side;
     this.version = version;
+    this.fine = fine;
     this.frames = new Float32Array(300);
     this.rows = new Float32Array(300);
     this.valid = true;
@@ -51,6 +52,9 @@ const APART = 0.34;
 const LONGEST_SKETCH = 1000;
 // Share of the way to a smaller view that is gone at each picture.
 const CALM = 0.02;
+// Pixels a metre up to which the fewer triangles of the plain surface look as round as those of the fine one: their edges of
+// 2.4 mm around a finger of 8 mm leave it by 0.09 mm, which is then half a pixel.
+const PLAIN = 5500;
 
 const canvas = element("hand");
 const labels = new Map();
@@ -84,6 +88,12 @@ function frame(hands) {
   orbit.reach.all = { centre, points, radius: Math.hypot(...half) + 0.1 };
 }
 
+// Whether hands have been so large that their fine surfaces are seen; without a graphics card those would not come in time.
+let fine = false;
+function lookAtSize(pixels) {
+  fine ||= Boolean(painter?.hasCard) && pixels / (2 * HALF * orbit.distance) > PLAIN;
+}
+
 // Whether there is one.
 let seen = false;
 // The hands of everybody, as far as they have been seen.
@@ -97,12 +107,12 @@ function handsNow() {
       const key = `${sender.number} ${side}`;
       const sizes = sender.decoder.sizes(side);
       let hand = shownHands.get(key);
-      if (!hand || hand.owner !== sender || hand.version !== sizes.version) {
-        hand = new Shown(side, sizes.version);
+      if (!hand || hand.owner !== sender || hand.version !== sizes.version || hand.fine !== fine) {
+        hand = new Shown(side, sizes.version, fine);
         hand.owner = sender;
         shownHands.set(key, hand);
       }
-      if (surface && painter && !hand.worn) Object.assign(hand, surface(side, sizes));
+      if (surface && painter && !hand.worn) Object.assign(hand, surface(side, sizes, { fine }));
       const { skinTone } = sender.decoder.facts;
       if (hand.tone !== skinTone) {
         const colour = room.handcast.skinColour(skinTone);
@@ -164,9 +174,22 @@ let opened = null;
 // What the graphics card passes behind the first skin, and milliseconds until it has.
 let behindFirst = null;
 let skinned = null;
+// Pictures that the graphics card has not passed yet: its sync, and what was drawn in each.
+let passing = [];
+// The screen shows with its next picture what has been passed by then.
+function lookAtPassing() {
+  const now = room?.now() >>> 0;
+  while (passing.length && painter.gl.getSyncParameter(passing[0].sync, painter.gl.SYNC_STATUS) === painter.gl.SIGNALED) {
+    const { sync, poses } = passing.shift();
+    for (const pose of poses) pose.shown = (now - pose.time) | 0;
+    painter.gl.deleteSync(sync);
+  }
+}
+
 function paint(force) {
   const now = room.now();
   let due = null;
+  const poses = [];
   for (const sender of room.senders.values()) {
     const next = sender.advance(now);
     if (!next) continue;
@@ -174,7 +197,8 @@ function paint(force) {
     const took = ((now >>> 0) - next.time) | 0;
     // What has been at rest for long is old, not late.
     if (took < 5000) {
-      drawn.push({ sender: sender.number, time: next.time, latency: took, skinned: skinned !== null, transit: Math.round(next.arrived - now) + took });
+      poses.push({ sender: sender.number, time: next.time, latency: took, shown: null, skinned: skinned !== null, transit: Math.round(next.arrived - now) + took });
+      drawn.push(poses.at(-1));
       if (drawn.length > 2000) drawn.shift();
       latency.add(took);
     }
@@ -190,11 +214,14 @@ function paint(force) {
   if (canvas.width !== size[0] || canvas.height !== size[1]) [canvas.width, canvas.height] = size;
   frame(hands);
   orbit.update(width, height);
+  lookAtSize(size[1]);
   const worn = Boolean(painter) && hands.every(hand => hand.worn);
   if (worn) {
     painter.show(hands);
     painter.paint(orbit, hands);
     painted = true;
+    const sync = poses.length ? painter.gl.fenceSync(painter.gl.SYNC_GPU_COMMANDS_COMPLETE, 0) : null;
+    if (sync) passing.push({ sync, poses });
     if (hands.length && skinned === null) behindFirst ??= painter.gl.fenceSync(painter.gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
   }
   if (worn && skinned !== null) sketch.clear(); else sketch.paint(orbit.matrix, hands, width, height, dense);
@@ -238,6 +265,7 @@ function tick(at) {
   if (skinned !== null) sharpness.next(at - ticked, painted);
   [painted, ticked] = [false, at];
   lookAtFirst();
+  lookAtPassing();
   if (room) paint(force);
   force = false;
   requestAnimationFrame(tick);
@@ -339,7 +367,7 @@ new ResizeObserver(() => {
   redraw();
 }).observe(canvas);
 canvas.addEventListener("webglcontextlost", event => event.preventDefault());
-canvas.addEventListener("webglcontextrestored", () => { painter?.prepare(); redraw(); });
+canvas.addEventListener("webglcontextrestored", () => { passing = []; painter?.prepare(); redraw(); });
 
 // A hand that is there is shown as a sketch before the graphics card compiles what skins are drawn with, which lets nothing else
 // be done; in a room without one nothing is waited for.
@@ -404,7 +432,7 @@ async function dress() {
     const skins = loadSurface("./handcast_surface.wasm");
     // Whether it failed is looked at below.
     skins.catch(() => {});
-    painter = new Painter(canvas, [], 512);
+    painter = new Painter(canvas, [], { swift: true });
     surface = await skins;
   } catch (error) {
     unskinned = error.message;

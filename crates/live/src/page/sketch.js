@@ -13,6 +13,8 @@ class Sketch {
 
   // hands: the frames of their joints, colours of their skins (sRGB, 0 to 255), whether they count.
   paint(matrix, hands, width, height, dense) {
+    // A canvas waits for the graphics card of a browser that starts: none is asked for before there is a hand.
+    if (!hands.length) return this.clear();
     const { canvas } = this;
     canvas.hidden = false;
     [canvas.width, canvas.height] = [width * dense, height * dense].map(Math.round);
@@ -55,6 +57,7 @@ class Sketch {
       shape(-BORDER, shade(1));
       palm();
     }
+    return undefined;
   }
 
   clear() { this.canvas.hidden = true; }

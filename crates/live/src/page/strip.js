@@ -11,7 +11,8 @@ export class Strip {
     this.least = least;
     this.points = [];
     this.canvas = document.createElement("canvas");
-    this.context = this.canvas.getContext("2d");
+    // Drawn without the graphics card, which hands are to have for themselves.
+    this.context = this.canvas.getContext("2d", { willReadFrequently: true });
     box.append(this.canvas);
     this.seen = false;
     new IntersectionObserver(entries => {
