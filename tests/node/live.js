@@ -36,6 +36,8 @@ function smoothed() {
   const { room, painter, picture } = window.handcast;
   const now = room.now();
   room.now = () => now;
+  // What is in the picture changes by and by, but for the first one.
+  document.getElementById("reset").click();
   const canvas = document.getElementById("hand");
   const pixels = () => {
     picture();
