@@ -33,11 +33,12 @@ async function joined(browser, { width, height, hash }) {
 
 // How a page's picture with samples differs from the one without, of the same moment.
 function smoothed() {
-  const { room, painter, picture } = window.handcast;
+  const { room, painter, picture, sharpness } = window.handcast;
   const now = room.now();
   room.now = () => now;
   // What is in the picture changes by and by, but for the first one.
   document.getElementById("reset").click();
+  sharpness.share = 1;
   const canvas = document.getElementById("hand");
   const pixels = () => {
     picture();
@@ -79,8 +80,12 @@ async function lose() {
     for (let n = 0; n < 600 && !ready(); n += 1) await new Promise(requestAnimationFrame);
     if (!ready()) throw new Error("the context is lost for good");
   };
+  // It can be given back once the page has been told.
+  const told = new Promise(done => document.getElementById("hand").addEventListener("webglcontextlost", done));
   context.loseContext();
+  await told;
   await frames(() => painter().gl.isContextLost() && !document.getElementById("sketch").hidden);
+  await new Promise(done => setTimeout(done));
   context.restoreContext();
   await frames(() => !painter().gl.isContextLost() && state().hands.length && document.getElementById("sketch").hidden);
 }

@@ -444,6 +444,7 @@ dress();
 // For tests and for the console.
 window.handcast = {
   room,
+  sharpness,
   painter: () => painter,
   drawn: () => drawn.slice(),
   state: () => ({
