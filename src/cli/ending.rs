@@ -70,7 +70,7 @@ static BROKEN: Mutex<Vec<Broken>> = Mutex::new(Vec::new());
 const MOST_BROKEN: usize = 64;
 
 /// Threads that go on beside the work, and of which it learns late or never: what breaks them down is told at once.
-const BESIDE: [&str; 2] = ["live", "camera"];
+const BESIDE: [&str; 3] = ["live", "camera", "recording"];
 
 /// Keeps where this thread breaks down.
 fn keep(broken: &PanicHookInfo<'_>, place: String) {

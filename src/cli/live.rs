@@ -19,7 +19,6 @@ use handcast_fba::plan::{PlanOptions, Target};
 use handcast_live::page;
 use handcast_live::sender::{LivePoseEncoderOptions, PoseSender};
 use handcast_live::server::{Server, ServerOptions, Tls, check_room, random_token};
-use handcast_live::transport::Publish as _;
 use handcast_media::{Address, CameraOptions, ClipInfo, OpenOptions, cameras};
 
 use super::common::ProfileArg;
@@ -239,9 +238,8 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         status.tell(&worker, &slot, &server);
     }
     stop.store(true, Ordering::Relaxed);
-    // Whatever went wrong, all is ended, the recording first.
+    // Whatever went wrong, all is ended.
     let Finished { recorded, published } = worker.finish(&mut publisher);
-    let ended = publisher.end().map_err(anyhow::Error::from);
     // The last planes are on their way.
     std::thread::sleep(Duration::from_millis(50));
     status.end(&worker, &slot, &server);
@@ -251,7 +249,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     };
     let stopped = server.stop().context("the room's server ended");
     // That nothing can be published follows from how the server ended.
-    let room = stopped.and(worked).and(published).and(ended);
+    let room = stopped.and(worked).and(published);
     first_of([room, recorded, told, capture.end()])
 }
 

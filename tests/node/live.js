@@ -1,8 +1,11 @@
 // Opens the page of a room in headless Chromium, once or several times, and says what it shows.
 // Usage: live.js CHROMIUM JOB.json
-// A job: {url, pages: [{width, height, shot: FILE, hash, send: bool, hands}], seconds, video: FILE.y4m (fake camera), steps, again}.
+// A job: {url, pages: [{width, height, shot: FILE, hash, send: bool, hands}], seconds, video: FILE.y4m (fake camera), steps, again,
+// smooth, lose}.
 // Steps are conditions on the first page's `state`; a line `step N` on standard output says that the next has come true.
 // `again`: so many times the first page is opened anew in its browser, which then runs, with nothing kept of the times before.
+// `smooth`: sizes of the first page's view at which its picture with samples is compared with that without; `lose`: once more when
+// its context has been lost and given back.
 // Prints one JSON object: for each page its state, what was drawn, console messages, and addresses asked for; of the first also
 // `again`, how long each of these times took to the first hand.
 import { readFileSync } from "node:fs";
@@ -26,6 +29,65 @@ async function joined(browser, { width, height, hash }) {
   const took = await page.evaluate("window.handcast.state().joined");
   await context.close();
   return took;
+}
+
+// How a page's picture with samples differs from the one without, of the same moment.
+function smoothed() {
+  const { room, painter, picture, sharpness } = window.handcast;
+  const now = room.now();
+  room.now = () => now;
+  // What is in the picture changes by and by, but for the first one.
+  document.getElementById("reset").click();
+  sharpness.share = 1;
+  const canvas = document.getElementById("hand");
+  const pixels = () => {
+    picture();
+    const copy = document.createElement("canvas");
+    [copy.width, copy.height] = [canvas.width, canvas.height];
+    const context = copy.getContext("2d");
+    context.drawImage(canvas, 0, 0);
+    return context.getImageData(0, 0, copy.width, copy.height).data;
+  };
+  const smooth = pixels();
+  const { samples } = painter();
+  painter().samples = null;
+  const rough = pixels();
+  painter().samples = samples;
+  delete room.now;
+  const told = { size: [canvas.width, canvas.height], covered: 0, smooth: 0, rough: 0, within: 0, differ: 0 };
+  const partly = alpha => alpha > 0 && alpha < 255;
+  let inside = 0;
+  for (let i = 0; i < smooth.length; i += 4) {
+    const [a, b] = [smooth[i + 3], rough[i + 3]];
+    if (b) told.covered += 1;
+    if (partly(a)) told.smooth += 1;
+    if (partly(b)) told.rough += 1;
+    if ((a === 255 && b === 0) || (a === 0 && b === 255)) told.differ += 1;
+    if (a !== 255 || b !== 255) continue;
+    inside += 1;
+    for (let k = 0; k < 3; k += 1) told.within += Math.abs(smooth[i + k] - rough[i + k]) / 3;
+  }
+  told.within /= inside;
+  told.differ /= told.covered;
+  return samples ? told : { ...told, smooth: 0 };
+}
+
+// A page's context is lost and given back. Meanwhile hands are sketched.
+async function lose() {
+  const { painter, state } = window.handcast;
+  const context = painter().gl.getExtension("WEBGL_lose_context");
+  const frames = async ready => {
+    for (let n = 0; n < 600 && !ready(); n += 1) await new Promise(requestAnimationFrame);
+    if (!ready()) throw new Error("the context is lost for good");
+  };
+  // It can be given back once the page has been told.
+  const told = new Promise(done => document.getElementById("hand").addEventListener("webglcontextlost", done));
+  context.loseContext();
+  await told;
+  await frames(() => painter().gl.isContextLost() && !document.getElementById("sketch").hidden);
+  await new Promise(done => setTimeout(done));
+  context.restoreContext();
+  await frames(() => !painter().gl.isContextLost() && state().hands.length && document.getElementById("sketch").hidden);
 }
 
 try {
@@ -61,6 +123,19 @@ try {
     const text = await page.evaluate("[...document.querySelectorAll('.readout, #facts')].map(e => e.textContent)");
     if (wanted.shot) await page.screenshot({ path: wanted.shot });
     told.push({ state, drawn, messages, requests, joined, overflow, text });
+  }
+  if (job.smooth) {
+    const [{ page }] = pages;
+    told[0].smooth = [];
+    for (const [width, height] of job.smooth) {
+      await page.setViewportSize({ width, height });
+      await page.waitForTimeout(500);
+      told[0].smooth.push(await page.evaluate(smoothed));
+    }
+    if (job.lose) {
+      await page.evaluate(lose);
+      told[0].smooth.push(await page.evaluate(smoothed));
+    }
   }
   if (job.again) {
     await pages[0].page.context().close();

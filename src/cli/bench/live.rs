@@ -46,7 +46,7 @@ pub struct Args {
     /// Seconds that they read
     #[arg(long, value_name = "S", default_value_t = 20.0, value_parser = positive)]
     seconds: f64,
-    /// Chromium, for what it takes to draw
+    /// Chromium, for what it takes to draw, always by the processor
     #[arg(long, value_name = "FILE")]
     chromium: Option<PathBuf>,
     /// The script that opens pages in it
@@ -98,11 +98,25 @@ struct Report {
     resident_mib: Option<[f64; 3]>,
     /// From encoding to a viewer behind a way that loses segments: the share, and the times.
     lossy_ms: Vec<(f64, Times)>,
-    /// To the picture in which a page draws it.
+    /// To the moment at which a page begins to draw it, from its first skin on.
     encode_to_drawn_ms: Option<Times>,
-    /// To the screen's next picture once the graphics card has drawn that one.
+    /// To the page's first turn that finds it drawn, before which no screen shows it: drawn by the processor, not by a
+    /// graphics card.
     encode_to_shown_ms: Option<Times>,
+    /// Poses of the two times above, and what they are of.
+    page_poses: Option<PagePoses>,
     page_joins_ms: Option<Joins>,
+}
+
+/// How many poses a page drew: of several planes that come between two of its pictures it draws the last.
+#[derive(Clone, Copy, Debug, serde::Serialize)]
+struct PagePoses {
+    /// Planes that it got, and poses that it drew.
+    planes: u64,
+    drawn: usize,
+    /// Poses with a skin, and those of them that were found drawn.
+    skinned: usize,
+    shown: usize,
 }
 
 /// Milliseconds until a page has drawn its first hand.
@@ -133,10 +147,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     report.join_ms = join_ms;
     report.kbit_per_s = kbit_per_s;
     if let Some(chromium) = &args.chromium {
-        let (drawn, shown, joins) = drawn(&clip, chromium, &args.script)?;
-        report.encode_to_drawn_ms = Some(drawn);
-        report.encode_to_shown_ms = Some(shown);
-        report.page_joins_ms = Some(joins);
+        drawn(&clip, chromium, &args.script, &mut report)?;
     }
     if args.json {
         outln!("{}", serde_json::to_string_pretty(&report)?);
@@ -182,10 +193,22 @@ fn tell(report: &Report) {
             "memory                       {before:.1} MiB, {behind:.1} with the readers, {growth:+.2} in the second half"
         );
     }
-    match (&report.encode_to_drawn_ms, &report.encode_to_shown_ms, report.page_joins_ms) {
-        (Some(drawn), Some(shown), Some(joins)) => {
-            outln!("encoded to drawn in a page   {}", times(drawn));
-            outln!("to what the screen shows     {}", times(shown));
+    tell_of_page(report);
+}
+
+/// What is told of a page.
+fn tell_of_page(report: &Report) {
+    let times = |t: &Times| format!("p50 {:.1}, p95 {:.1}, p99 {:.1} ms", t.p50, t.p95, t.p99);
+    let all =
+        (&report.encode_to_drawn_ms, &report.encode_to_shown_ms, report.page_poses, report.page_joins_ms);
+    match all {
+        (Some(drawn), Some(shown), Some(poses), Some(joins)) => {
+            outln!("encoded to a page drawing it {}", times(drawn));
+            outln!("to drawn by the processor    {}; no screen shows it before", times(shown));
+            let PagePoses { planes, drawn, skinned, shown } = poses;
+            outln!(
+                "poses drawn                  {drawn} of {planes} planes, {skinned} of them with skin, of which {shown} were found drawn"
+            );
             let Joins { opened, asked, skinned, running: [middle, longest] } = joins;
             outln!(
                 "a page's first hand          {asked:.0} ms after asking for the room, {opened:.0} after opening the page"
@@ -195,7 +218,7 @@ fn tell(report: &Report) {
                 "in a browser that runs       first hand {middle:.0} ms after asking, {longest:.0} at most of {AGAIN}"
             );
         }
-        _ => outln!("encoded to drawn in a page   not measured: --chromium FILE"),
+        _ => outln!("encoded to a page drawing it not measured: --chromium FILE"),
     }
 }
 
@@ -416,6 +439,7 @@ fn crowd(args: &Args) -> anyhow::Result<Report> {
         lossy_ms: Vec::new(),
         encode_to_drawn_ms: None,
         encode_to_shown_ms: None,
+        page_poses: None,
         page_joins_ms: None,
     })
 }
@@ -440,15 +464,15 @@ fn cpu_seconds(name: &str) -> Option<f64> {
     Some(ticks.sum::<u64>() as f64 / 100.0)
 }
 
-/// From encoding to the picture in a page, and from opening a page to a hand in it.
-fn drawn(clip: &PoseClip, chromium: &Path, script: &Path) -> anyhow::Result<(Times, Times, Joins)> {
+/// From encoding to the picture in a page, and from opening a page to a hand in it, for a report.
+fn drawn(clip: &PoseClip, chromium: &Path, script: &Path, report: &mut Report) -> anyhow::Result<()> {
     let server = server()?;
     let stop = Arc::new(AtomicBool::new(false));
     // A little slower, so that planes come at all phases of the screen's pictures.
     let player = play(clip, RATE - 0.13, server.publisher()?, Arc::clone(&stop));
     let folder = Scratch::new("live")?;
     let job = folder.0.join("job.json");
-    // Small, since pictures are drawn without a graphics card where there is none.
+    // Small, since the script has pictures always drawn by the processor.
     let told = serde_json::json!({
         "url": format!("http://{}/hand", server.address()),
         "pages": [{ "width": 420, "height": 420, "hash": "#buffer=0" }],
@@ -464,7 +488,9 @@ fn drawn(clip: &PoseClip, chromium: &Path, script: &Path) -> anyhow::Result<(Tim
     let drawn = told[0]["drawn"].as_array().context("what was drawn")?;
     // Before the first skin the page loads and compiles.
     let skinned = drawn.iter().filter(|one| one["skinned"] == true);
-    let of = |what: &str| Times::of(skinned.clone().filter_map(|one| one[what].as_f64()).collect());
+    let of = |what: &str| -> Vec<f64> { skinned.clone().filter_map(|one| one[what].as_f64()).collect() };
+    let (latency, shown) = (of("latency"), of("shown"));
+    ensure!(!latency.is_empty() && !shown.is_empty(), "the page has drawn no hand with its skin");
     let ms = |value: &serde_json::Value| value.as_f64().unwrap_or(f64::NAN);
     let state = &told[0]["state"];
     let mut again: Vec<f64> = told[0]["again"].as_array().into_iter().flatten().map(ms).collect();
@@ -476,5 +502,14 @@ fn drawn(clip: &PoseClip, chromium: &Path, script: &Path) -> anyhow::Result<(Tim
         skinned: ms(&state["skinned"]),
         running: [at(AGAIN / 2), at(AGAIN - 1)],
     };
-    Ok((of("latency"), of("shown"), joins))
+    report.page_poses = Some(PagePoses {
+        planes: state["planes"].as_u64().context("planes that came")?,
+        drawn: drawn.len(),
+        skinned: latency.len(),
+        shown: shown.len(),
+    });
+    report.encode_to_drawn_ms = Some(Times::of(latency));
+    report.encode_to_shown_ms = Some(Times::of(shown));
+    report.page_joins_ms = Some(joins);
+    Ok(())
 }

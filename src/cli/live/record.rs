@@ -1,7 +1,7 @@
 //! A recording of what is sent.
 
 use std::fs::{self, File};
-use std::io::{self, Seek as _, SeekFrom, Write};
+use std::io::{self, Seek as _, SeekFrom, Write as _};
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
@@ -12,7 +12,7 @@ use handcast_live::wire::Plane;
 use crate::cli::common::{ending, write_output};
 use crate::cli::files::{begin_partial, set_aside, try_file};
 
-use super::passed::Passed;
+use super::passed::{Passed, Pipe};
 
 /// The code that ends a stream.
 const END: [u8; 4] = SEQUENCE_END.to_be_bytes();
@@ -22,7 +22,7 @@ pub enum Place {
     /// Into a file.
     File(PathBuf),
     /// Into a pipe, a device or standard output, plane by plane, which holds up nobody.
-    Passed(Box<dyn Write + Send>),
+    Passed(Pipe),
 }
 
 /// Whether a name means standard output, whatever that is.
@@ -34,7 +34,8 @@ impl Place {
     /// That of this name, before the work: a file is one that can be written, a pipe is opened, which waits for its reader.
     pub fn of(path: &Path, quiet: bool) -> anyhow::Result<Self> {
         if is_standard_output(path) {
-            return Ok(Self::Passed(Box::new(io::stdout())));
+            let name = "standard output".into();
+            return Ok(Self::Passed(Pipe { name, into: Box::new(io::stdout()), quiet }));
         }
         if fs::metadata(path).is_ok_and(|found| !found.is_file() && !found.is_dir()) {
             if ending(path) == "mp4" {
@@ -43,8 +44,9 @@ impl Place {
             if !quiet {
                 errln!("waiting for who reads {}", path.display());
             }
-            let into = File::options().write(true).open(path);
-            return Ok(Self::Passed(Box::new(into.with_context(|| path.display().to_string())?)));
+            let name = path.display().to_string();
+            let into = File::options().write(true).open(path).with_context(|| name.clone())?;
+            return Ok(Self::Passed(Pipe { name, into: Box::new(into), quiet }));
         }
         if !["fba", "mp4"].contains(&ending(path).as_str()) {
             refuse!("{}: a recording is .fba or .mp4", path.display());
@@ -69,6 +71,13 @@ enum Sink {
 }
 
 impl Sink {
+    fn name(&self) -> String {
+        match self {
+            Self::Beside { path, .. } => format!("the recording {}", path.display()),
+            Self::Passed(into) => format!("the recording into {}", into.name()),
+        }
+    }
+
     fn add(&mut self, whole: u64, payload: &[u8], ended: bool) -> io::Result<()> {
         match self {
             Self::Beside { file, .. } => {
@@ -93,7 +102,7 @@ impl Sink {
 impl Recording {
     pub fn create(place: Place) -> anyhow::Result<Self> {
         let sink = match place {
-            Place::Passed(into) => Sink::Passed(Passed::new(into).context("the recording")?),
+            Place::Passed(pipe) => Sink::Passed(Passed::new(pipe).context("the recording")?),
             Place::File(path) => {
                 let partial = path.with_extension("partial.fba");
                 if partial.is_file() {
@@ -114,7 +123,7 @@ impl Recording {
                 if self.is_begun() {
                     self.sink.cut(self.whole, self.ended).context("the recording has no end")?;
                 }
-                return Err(error).context("the recording");
+                return Err(error).with_context(|| self.sink.name());
             }
             self.whole += payload.len() as u64;
             self.ended = ended;
@@ -127,7 +136,12 @@ impl Recording {
         self.whole > 0
     }
 
-    /// Puts the planes under the file's name. Where nothing was sent there is none; where it cannot be written they stay
+    /// Whether it goes into a pipe, where planes may wait for who reads them.
+    pub fn is_passed(&self) -> bool {
+        matches!(self.sink, Sink::Passed(_))
+    }
+
+    /// Puts the planes under the file's name, or waits until a pipe has taken those that it can. Where nothing was sent there is none; where it cannot be written they stay
     /// beside it.
     pub fn finish(mut self) -> anyhow::Result<()> {
         if !self.is_begun() {
@@ -137,7 +151,7 @@ impl Recording {
         match &mut self.sink {
             Sink::Beside { path, partial, .. } => placed(path, partial)
                 .with_context(|| format!("what was recorded is in {}", partial.display())),
-            Sink::Passed(into) => into.finish().context("the recording"),
+            Sink::Passed(into) => into.finish().with_context(|| self.sink.name()),
         }
     }
 }

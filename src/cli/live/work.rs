@@ -141,20 +141,24 @@ impl Worker {
     }
 
     fn record(&mut self, planes: &[Plane]) {
-        if let Some(recording) = &mut self.recording
+        if self.cut.is_none()
+            && let Some(recording) = &mut self.recording
             && let Err(error) = recording.add(planes)
         {
             // Those who watch go on; what is recorded ends here.
             errln!("handcast: {error:#}; the recording is cut here, the room goes on");
             self.cut = Some(error);
-            let begun = self.recording.take().filter(Recording::is_begun);
+            // What waits in a pipe goes on being written, and is waited for at the end.
+            let begun = self.recording.take_if(|recording| !recording.is_passed());
+            let begun = begun.filter(Recording::is_begun);
             if let Err(error) = begun.map_or(Ok(()), Recording::finish) {
                 errln!("handcast: {error:#}");
             }
         }
     }
 
-    /// Ends the stream and the recording, each whatever becomes of the other.
+    /// Ends the stream, tells the room so, and ends the recording, each whatever becomes of the others. The recording is the
+    /// last: it may wait for who reads it.
     pub fn finish(&mut self, publisher: &mut impl Publish) -> Finished {
         let (end, ended) = match self.sender.finish(self.last.1) {
             Ok(end) => (end, Ok(())),
@@ -162,7 +166,9 @@ impl Worker {
         };
         let published = self.publish(end, publisher);
         let published = ended.and(published).and_then(|()| self.send(1, publisher));
-        let recorded = self.recording.take().map_or(Ok(()), Recording::finish);
+        let published = published.and(publisher.end().map_err(Into::into));
+        let begun = |recording: &Recording| self.cut.is_none() || recording.is_begun();
+        let recorded = self.recording.take().filter(begun).map_or(Ok(()), Recording::finish);
         let whole = self.cut.take().map_or(Ok(()), |error| Err(error.context("the recording is cut")));
         Finished { recorded: recorded.and(whole), published }
     }
@@ -175,12 +181,14 @@ impl Worker {
 
 #[cfg(test)]
 mod tests {
+    use std::io::Read as _;
     use std::path::Path;
 
     use handcast_hand::{HandPose, Side, TimedPose};
     use handcast_live::sender::LivePoseEncoderOptions;
     use handcast_live::transport::{Hello, TransportError};
 
+    use super::super::passed::Pipe;
     use super::super::record::Place;
     use super::*;
 
@@ -215,7 +223,7 @@ mod tests {
         }
 
         fn end(&mut self) -> Result<(), TransportError> {
-            Ok(())
+            self.tell("end")
         }
     }
 
@@ -255,6 +263,33 @@ mod tests {
         let stream = std::fs::read(folder.path().join("hand.fba")).unwrap();
         assert!(stream.ends_with(&[0, 0, 1, 0xb1]), "its end is in it");
         assert_eq!(std::fs::read_dir(&folder).unwrap().count(), 1);
+    }
+
+    /// The room is told of all planes and of the end; the pipe gets whole those that were taken before it was full.
+    #[test]
+    fn a_pipe_of_which_nothing_is_read_holds_no_room_up() {
+        let (mut reader, writer) = std::io::pipe().unwrap();
+        let pipe = Pipe { name: "a pipe".into(), into: Box::new(writer), quiet: true };
+        let mut worker = worker(1, Some(Recording::create(Place::Passed(pipe)).unwrap()));
+        let mut room = Room::default();
+        let planes = 10_000u32;
+        for n in 0..planes {
+            let payload = n.to_be_bytes().repeat(64);
+            worker.publish(vec![Plane { index: 1, payload, ..Plane::default() }], &mut room).unwrap();
+        }
+        assert!(room.told.len() == planes as usize && worker.cut.is_some());
+        let read = std::thread::spawn(move || {
+            let mut read = Vec::new();
+            reader.read_to_end(&mut read).map(|_| read)
+        });
+        let Finished { recorded, published } = worker.finish(&mut room);
+        let told = format!("{:#}", recorded.unwrap_err());
+        assert!(told.contains("the recording is cut: the recording into a pipe: nobody reads it"), "{told}");
+        assert!(published.is_ok() && room.told.last().unwrap() == "end");
+        let read = read.join().unwrap().unwrap();
+        let expected: Vec<u8> = (0..planes).flat_map(|n| n.to_be_bytes().repeat(64)).collect();
+        let same = read.iter().zip(&expected).take_while(|(a, b)| a == b).count();
+        assert!(same == read.len() && same >= 2048 * 256 && same % 256 == 0, "{same} of {}", read.len());
     }
 
     #[test]

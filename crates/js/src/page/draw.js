@@ -201,10 +201,12 @@ function hasCard(gl) {
 const SAMPLES = 4;
 
 // hands: what is drawn, each with its surface; see src/view/hand.rs. swift: pictures are to come in time, with a smaller shadow
-// map and, where there is no graphics card, edges that are not smoothed, which would be a third of what a picture takes.
+// map and, where there is no graphics card, edges that are not smoothed, which would be a third of what a picture takes. card: draws as
+// if there were one.
 class Painter {
-  constructor(canvas, hands, { swift = false } = {}) {
+  constructor(canvas, hands, { swift = false, card = false } = {}) {
     this.swift = swift;
+    this.card = card;
     this.shadowSide = swift ? 512 : 1024;
     this.canvas = canvas;
     this.hands = hands;
@@ -232,7 +234,7 @@ class Painter {
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.target);
     gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.DEPTH_ATTACHMENT, gl.TEXTURE_2D, this.depths, 0);
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
-    this.hasCard = hasCard(gl);
+    this.hasCard = this.card || hasCard(gl);
     this.samples = this.swift && this.hasCard ? { target: gl.createFramebuffer(), colour: gl.createRenderbuffer(), depth: gl.createRenderbuffer(), size: "" } : null;
     this.meshes = new Map();
     gl.enable(gl.DEPTH_TEST);
@@ -339,7 +341,7 @@ class Painter {
     return undefined;
   }
 
-  // Draws into samples of the picture from now on.
+  // Draws into samples of the picture from now on; where the driver gives none, into the picture itself.
   sampled(width, height) {
     const { gl, samples } = this;
     gl.bindFramebuffer(gl.FRAMEBUFFER, samples.target);
@@ -350,6 +352,11 @@ class Painter {
       gl.renderbufferStorageMultisample(gl.RENDERBUFFER, SAMPLES, format, width, height);
       gl.framebufferRenderbuffer(gl.FRAMEBUFFER, place, gl.RENDERBUFFER, buffer);
     }
+    if (gl.checkFramebufferStatus(gl.FRAMEBUFFER) === gl.FRAMEBUFFER_COMPLETE) return;
+    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+    gl.deleteFramebuffer(samples.target);
+    for (const buffer of [samples.colour, samples.depth]) gl.deleteRenderbuffer(buffer);
+    this.samples = null;
   }
 
   // Makes the picture of its samples.
@@ -366,7 +373,8 @@ class Painter {
     const gl = this.gl;
     if (gl.isContextLost()) return;
     const shadow = posed.length ? this.shadows(camera, posed) : null;
-    const { width, height } = this.canvas;
+    // Less than the canvas where the driver gives no more.
+    const { drawingBufferWidth: width, drawingBufferHeight: height } = gl;
     if (this.samples) this.sampled(width, height);
     gl.viewport(0, 0, width, height);
     gl.clearColor(0, 0, 0, 0);

@@ -88,10 +88,11 @@ function frame(hands) {
   orbit.reach.all = { centre, points, radius: Math.hypot(...half) + 0.1 };
 }
 
-// Whether hands have been so large that their fine surfaces are seen; without a graphics card those would not come in time.
+// Whether hands are so large that their fine surfaces are seen; without a graphics card those would not come in time. They stay
+// until hands are a good deal smaller, since each change makes surfaces anew.
 let fine = false;
 function lookAtSize(pixels) {
-  fine ||= Boolean(painter?.hasCard) && pixels / (2 * HALF * orbit.distance) > PLAIN;
+  fine = Boolean(painter?.hasCard) && pixels / (2 * HALF * orbit.distance) > (fine ? 0.7 : 1) * PLAIN;
 }
 
 // Whether there is one.
@@ -176,7 +177,7 @@ let behindFirst = null;
 let skinned = null;
 // Pictures that the graphics card has not passed yet: its sync, and what was drawn in each.
 let passing = [];
-// The screen shows with its next picture what has been passed by then.
+// The screen shows with its next picture at the earliest what has been passed by then.
 function lookAtPassing() {
   const now = room?.now() >>> 0;
   while (passing.length && painter.gl.getSyncParameter(passing[0].sync, painter.gl.SYNC_STATUS) === painter.gl.SIGNALED) {
@@ -196,26 +197,24 @@ function paint(force) {
     due = next;
     const took = ((now >>> 0) - next.time) | 0;
     // What has been at rest for long is old, not late.
-    if (took < 5000) {
-      poses.push({ sender: sender.number, time: next.time, latency: took, shown: null, skinned: skinned !== null, transit: Math.round(next.arrived - now) + took });
-      drawn.push(poses.at(-1));
-      if (drawn.length > 2000) drawn.shift();
-      latency.add(took);
-    }
+    if (took < 5000) poses.push({ sender: sender.number, time: next.time, latency: took, shown: null, skinned: skinned !== null, transit: Math.round(next.arrived - now) + took });
   }
   const hands = handsNow();
-  const seen = hands.map(hand => `${hand.key} ${hand.valid} ${hand.version} ${hand.tone} ${hand.worn}`).join();
+  const seen = hands.map(hand => `${hand.key} ${hand.valid} ${hand.version} ${hand.tone} ${hand.worn} ${hand.fine}`).join();
   if (!due && !force && seen === handsSeen) return;
   handsSeen = seen;
   const dense = Math.min(2, window.devicePixelRatio || 1) * sharpness.share;
   const [width, height] = stage[0] ? stage : [canvas.clientWidth, canvas.clientHeight];
   if (!width || !height) return;
-  const size = [Math.round(width * dense), Math.round(height * dense)];
+  for (const pose of poses) latency.add(pose.latency);
+  drawn.push(...poses);
+  drawn.splice(0, drawn.length - 2000);
+  const size = [width, height].map(side => Math.max(1, Math.round(side * dense)));
   if (canvas.width !== size[0] || canvas.height !== size[1]) [canvas.width, canvas.height] = size;
   frame(hands);
   orbit.update(width, height);
   lookAtSize(size[1]);
-  const worn = Boolean(painter) && hands.every(hand => hand.worn);
+  const worn = Boolean(painter) && !painter.gl.isContextLost() && hands.every(hand => hand.worn);
   if (worn) {
     painter.show(hands);
     painter.paint(orbit, hands);
@@ -366,11 +365,11 @@ new ResizeObserver(() => {
   stage = [canvas.clientWidth, canvas.clientHeight];
   redraw();
 }).observe(canvas);
-canvas.addEventListener("webglcontextlost", event => event.preventDefault());
-canvas.addEventListener("webglcontextrestored", () => { passing = []; painter?.prepare(); redraw(); });
+canvas.addEventListener("webglcontextlost", event => { event.preventDefault(); redraw(); });
+canvas.addEventListener("webglcontextrestored", () => { [passing, behindFirst] = [[], null]; painter?.prepare(); redraw(); });
 
 // A hand that is there is shown as a sketch before the graphics card compiles what skins are drawn with, which lets nothing else
-// be done; in a room without one nothing is waited for.
+// be done; in a room without one a second is waited at most.
 const beforeSkins = {};
 beforeSkins.over = new Promise(go => { beforeSkins.go = go; });
 asked = performance.now();
@@ -432,7 +431,7 @@ async function dress() {
     const skins = loadSurface("./handcast_surface.wasm");
     // Whether it failed is looked at below.
     skins.catch(() => {});
-    painter = new Painter(canvas, [], { swift: true });
+    painter = new Painter(canvas, [], { swift: true, card: wish.has("card") });
     surface = await skins;
   } catch (error) {
     unskinned = error.message;
@@ -445,6 +444,8 @@ dress();
 // For tests and for the console.
 window.handcast = {
   room,
+  sharpness,
+  painter: () => painter,
   drawn: () => drawn.slice(),
   state: () => ({
     open: room.open, by: room.link.by, connections: room.connections, own: room.own, senders: [...room.senders.keys()], buffer: Math.max(0, ...[...room.senders.values()].map(s => s.buffer)),
