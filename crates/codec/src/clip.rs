@@ -11,7 +11,7 @@ use handcast_limits::{Excess, Limit, Limits};
 use crate::beat::rate_of_rounded;
 use crate::damage::Damage;
 use crate::decoder::{PlaneTotals, PoseDecoder, PoseDecoderOptions, hand_of, header_of, told_profile};
-use crate::encoder::{Holder, Moment, PoseEncoder, Ready};
+use crate::encoder::{Holder, Moment, PoseEncoder};
 use crate::error::{PosesToStreamError, StreamToPosesError, is_passed_over};
 use crate::mapping::{Profile, sides};
 use crate::ties::hand_ties;
@@ -36,15 +36,16 @@ pub fn bap_frames(clip: &PoseClip, profile: Profile) -> Result<Vec<TimedBapFrame
     let start = order.first().map_or(0.0, |f| f.time);
     let mut holder = Holder::new(&hands_of(clip), profile);
     let mut frames = Vec::new();
-    let mut push = |ready: Ready<'_>| frames.push(ready.frame);
     for group in order.chunk_by(|a, b| b.time - a.time < 1e-6) {
         let mut moment = Moment::at(group[0].time - start);
         for timed in group.iter().filter(|f| f.valid) {
             moment.poses[timed.pose.side as usize] = Some(Box::new(timed.pose.clone()));
         }
-        holder.take(moment, &mut push);
+        holder.take(moment);
+        frames.extend(std::iter::from_fn(|| holder.next().map(|ready| ready.frame)));
     }
-    holder.settle(&mut push);
+    holder.settle();
+    frames.extend(std::iter::from_fn(|| holder.next().map(|ready| ready.frame)));
     if holder.is_complete() {
         Ok(frames)
     } else {
