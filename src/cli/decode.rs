@@ -148,11 +148,23 @@ fn decode_lines(args: &Args, options: DecoderOptions, morphology: Option<&Morpho
     for notice in notices::of_stream(decoder.passed_over(), streams, trailing) {
         errln!("handcast: {name}: {notice}");
     }
-    if morphology.is_none() {
-        // Of the stream that was read when the header was written.
-        tell_of_sizes(&name, &decoder.resized(), "those of one of them");
+    if let (None, Some(header)) = (morphology, lines.header()) {
+        // Those known when it was written.
+        let resized = decoder.resized();
+        tell_of_sizes(&name, &resized, &shown_sizes(header, &resized));
     }
     Ok(())
+}
+
+/// The sizes that a header gives these hands.
+fn shown_sizes(header: &PoseHeader, sides: &[Side]) -> String {
+    let told = sides.iter().filter_map(|&side| header.hand(side)?.morphology.as_ref());
+    let lengths: Vec<_> = told.map(|sizes| format!("{:.0}", 1e3 * sizes.hand_length)).collect();
+    match lengths.as_slice() {
+        [] => "those of the mean hand".into(),
+        [length] => format!("those of a hand {length} mm long"),
+        both => format!("those of hands {} mm long", both.join(" and ")),
+    }
 }
 
 /// Says that poses are not all of hands of the same sizes.

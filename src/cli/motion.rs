@@ -89,7 +89,9 @@ impl MotionArgs {
             motion.notes.push(format!("{} further places are damaged", decoded.damage.further()));
         }
         motion.notes.extend(notices::of_stream(decoded.passed_over, decoded.streams, decoded.trailing));
-        motion.notes.extend(notices::of_sizes(&decoded.resized, "the last ones"));
+        if self.person.is_none() {
+            motion.notes.extend(notices::of_sizes(&decoded.resized, "the last ones"));
+        }
         Ok(motion)
     }
 }

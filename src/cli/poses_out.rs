@@ -267,6 +267,11 @@ impl Lines {
         self.journal.is_none()
     }
 
+    /// The header that was written last.
+    pub fn header(&self) -> Option<&PoseHeader> {
+        self.writer.as_ref().map(PoseWriter::header)
+    }
+
     /// Writes poses; before the first, and when a further hand has been found, the header.
     pub fn write(
         &mut self,

@@ -118,7 +118,6 @@ fn lone_arrays_are_joints_at_the_rate_that_is_told() {
     );
 }
 
-/// A frame as LeapJS has it of 21 joints in metres, the thumb first.
 /// Joints that tremble as those of learned trackers do cost bits, and there is something to be done about it.
 #[test]
 fn encode_tells_how_trembling_joints_are_steadied() {
@@ -154,6 +153,7 @@ fn encode_tells_how_trembling_joints_are_steadied() {
     assert!(!said(&written("still.npy", 0.0), &[]).contains("--smooth"));
 }
 
+/// A frame as LeapJS has it of 21 joints in metres, the thumb first.
 fn leap_frame(t: f64, points: &[[f64; 3]]) -> Value {
     let mm = |k: usize| points[k].map(|v| v * 1e3);
     let fingers = (0..5).map(|f| {

@@ -203,14 +203,24 @@ fn streams_of_other_sizes_are_told_with_the_sizes_that_are_shown() {
     assert!((length - 0.2).abs() < 1e-3, "{length}");
     // Line by line a header is written before all of them are read.
     let lines = handcast(&["decode", path(&at("both.fba")), "-o", "-"]);
-    assert!(text(&lines.stderr).contains("with those of one of them"));
     std::fs::write(&out, lines.stdout).unwrap();
     let length = shown(&read_poses(&out).unwrap());
     assert!([0.15, 0.2].into_iter().any(|told| (length - told).abs() < 1e-3), "{length}");
+    let wanted = format!("with those of a hand {:.0} mm long", 1e3 * length);
+    assert!(text(&lines.stderr).contains(&wanted), "{wanted}: {}", text(&lines.stderr));
+    // A viewer shows them as a file has them.
+    let page = at("page.html");
+    let viewed = |more: &[&str]| {
+        let both = at("both.fba");
+        let args = [&["view", path(&both), "-o", path(&page)], more].concat();
+        text(&handcast(&args).stderr)
+    };
+    assert!(viewed(&[]).contains("different sizes"));
     let person = at("person.toml");
     write_person(&person, &Person { morphology: Morphology::average(0.18), ..Person::default() }).unwrap();
     let given = handcast(&["decode", path(&at("both.fba")), "-o", path(&out), "--person", path(&person)]);
     assert!(given.status.success() && !text(&given.stderr).contains("different sizes"));
+    assert!(!viewed(&["--person", path(&person)]).contains("different sizes"));
 }
 
 #[test]

@@ -11,7 +11,7 @@ use handcast_limits::{Excess, Limit, Limits};
 use crate::beat::rate_of_rounded;
 use crate::damage::Damage;
 use crate::decoder::{PlaneTotals, PoseDecoder, PoseDecoderOptions, hand_of, header_of, told_profile};
-use crate::encoder::{Holder, Moment, PoseEncoder, Ready};
+use crate::encoder::{Holder, Moment, PoseEncoder};
 use crate::error::{PosesToStreamError, StreamToPosesError, is_passed_over};
 use crate::mapping::{Profile, sides};
 use crate::ties::hand_ties;
@@ -36,15 +36,16 @@ pub fn bap_frames(clip: &PoseClip, profile: Profile) -> Result<Vec<TimedBapFrame
     let start = order.first().map_or(0.0, |f| f.time);
     let mut holder = Holder::new(&hands_of(clip), profile);
     let mut frames = Vec::new();
-    let mut push = |ready: Ready<'_>| frames.push(ready.frame);
     for group in order.chunk_by(|a, b| b.time - a.time < 1e-6) {
         let mut moment = Moment::at(group[0].time - start);
         for timed in group.iter().filter(|f| f.valid) {
             moment.poses[timed.pose.side as usize] = Some(Box::new(timed.pose.clone()));
         }
-        holder.take(moment, &mut push);
+        holder.take(moment);
+        frames.extend(std::iter::from_fn(|| holder.next().map(|ready| ready.frame)));
     }
-    holder.settle(&mut push);
+    holder.settle();
+    frames.extend(std::iter::from_fn(|| holder.next().map(|ready| ready.frame)));
     if holder.is_complete() {
         Ok(frames)
     } else {
@@ -226,7 +227,8 @@ pub struct DecodedStream {
     pub streams: u32,
     /// Bytes behind the last stream's end code that begin no further one.
     pub trailing: u64,
-    /// The hands of which these streams tell different sizes: the header has those of the last.
+    /// The hands of which these streams tell different sizes ([`PoseDecoder::resized`]): the header has those that were told
+    /// last.
     pub resized: Vec<Side>,
 }
 
@@ -741,8 +743,56 @@ mod tests {
         assert_eq!(resized(std::slice::from_ref(&small)), (vec![], Some(150.0)));
         assert_eq!(resized(&[unknown.clone(), small.clone(), small.clone()]), (vec![], Some(150.0)));
         assert_eq!(resized(&[small.clone(), unknown, pair.clone()]), (vec![], Some(150.0)));
-        assert_eq!(resized(&[small, large.clone()]), (vec![Side::Right], Some(200.0)));
-        assert_eq!(resized(&[large, pair]), (vec![Side::Right], Some(150.0)));
+        assert_eq!(resized(&[small.clone(), large.clone()]), (vec![Side::Right], Some(200.0)));
+        assert_eq!(resized(&[large.clone(), pair]), (vec![Side::Right], Some(150.0)));
+        // The last stream tells the other hand alone.
+        let left = part(&both[..1], Some(0.17));
+        assert_eq!(resized(&[small.clone(), large, left]), (vec![Side::Right], Some(200.0)));
+        let unsized_left = part(&both[..1], None);
+        assert_eq!(resized(&[small, unsized_left]), (vec![], Some(150.0)));
+    }
+
+    /// The sizes of two hands are written in coarser steps than those of one, or as those that both have on average.
+    #[test]
+    fn sizes_that_are_rounded_otherwise_are_no_others() {
+        let part = |sides: &[Side], off: f64| {
+            let mut clip = clip(sides);
+            let mut number = 0.0;
+            let mut sized = |side: Side| {
+                let mut sizes = Morphology::average(0.18);
+                for value in sizes
+                    .fingers
+                    .iter_mut()
+                    .flat_map(|finger| finger.bones.iter_mut().chain(&mut finger.base))
+                {
+                    number += 1.0;
+                    *value += off * f64::sin(3.0 * number);
+                }
+                ClipHand { side, morphology: Some(sizes) }
+            };
+            // The right hand has the same sizes beside a left one, whose sizes are others.
+            let mut hands = vec![sized(Side::Right), sized(Side::Left)];
+            hands.retain(|hand| sides.contains(&hand.side));
+            clip.header.hands = hands;
+            encode_poses(&clip, Profile::Hand, &PlanOptions::default()).unwrap().stream
+        };
+        let both = [Side::Left, Side::Right];
+        let told = |parts: [Vec<u8>; 2]| {
+            let [alone, ..] = parts.each_ref().map(|stream| {
+                let decoded = decode_poses(stream, None, DecoderOptions::default()).unwrap();
+                decoded.clip.header.hand(Side::Right).unwrap().morphology.clone()
+            });
+            let decoded = decode_poses(&parts.concat(), None, DecoderOptions::default()).unwrap();
+            (decoded.resized, alone == decoded.clip.header.hand(Side::Right).unwrap().morphology)
+        };
+        for off in [5e-4, 1.3e-3, 2e-3] {
+            let [(first, same), (second, _)] = [[&both[1..], &both], [&both, &both[1..]]]
+                .map(|hands| told(hands.map(|hands| part(hands, off))));
+            assert_eq!((first, second), (vec![], vec![]), "{off}");
+            assert!(!same || off < 2e-3);
+        }
+        let [small, large] = [0.0, 3e-3].map(|off| part(&both[1..], off));
+        assert_eq!(told([small, large]).0, [Side::Right]);
     }
 
     /// A stream that is joined in its middle counts, and what damage takes from a stream to its end is told.

@@ -11,7 +11,7 @@ use crate::guard::{Reach, follow};
 use crate::mapping::{
     Profile, anchor_baps, global_baps, old_global_baps, pose_from_frame, sides, wrist_baps,
 };
-use crate::person::{hands_of_record, skin_tone_of_record};
+use crate::person::{differ, hands_of_record, skin_tone_of_record};
 use crate::ties::hand_ties;
 use crate::timeline::Timeline;
 
@@ -133,8 +133,9 @@ pub struct PoseDecoder {
     doubted: bool,
     revised: bool,
     timeline: Timeline,
-    /// Sizes of each hand that streams have told so far, the last ones, and whether they were others before.
-    sizes: [Option<Morphology>; 2],
+    /// Sizes of each hand that streams have told so far, the first and the last ones, and whether any were seen to be others
+    /// than the first.
+    sizes: [Option<[Morphology; 2]>; 2],
     resized: [bool; 2],
     /// What was wrong before the first plane.
     before: Option<SyntaxError>,
@@ -275,13 +276,15 @@ impl PoseDecoder {
         }
     }
 
-    /// The hands seen so far, with sizes and tone of skin where the stream has told them, and the rate in force.
+    /// The hands seen so far, with the sizes of each that a stream has told last; the tone of skin that the stream in force has
+    /// told, and its rate.
     pub fn header(&self) -> PoseHeader {
         let mut header = header_of(&self.hands, self.rate());
-        for told in hands_of_record(self.decoder.record()) {
-            if let Some(hand) = header.hands.iter_mut().find(|hand| hand.side == told.side) {
-                hand.morphology = told.morphology;
-            }
+        let mut told = hands_of_record(self.decoder.record());
+        for hand in &mut header.hands {
+            let now = told.iter_mut().find(|told| told.side == hand.side);
+            let before = self.sizes[hand.side as usize].as_ref().map(|[_, last]| last);
+            hand.morphology = now.and_then(|told| told.morphology.take()).or_else(|| before.cloned());
         }
         header.skin_tone = skin_tone_of_record(self.decoder.record());
         header
@@ -343,8 +346,8 @@ impl PoseDecoder {
         (self.decoder.objects(), self.decoder.trailing())
     }
 
-    /// The hands of which streams one behind the other tell different sizes, as they do of different people: a header has those
-    /// of the last alone.
+    /// The hands of which streams one behind the other tell sizes that a viewer sees to be different (a joint is off by more
+    /// than 2 mm along one axis, a bone or the hand in length): the header has those that were told last.
     pub fn resized(&self) -> Vec<Side> {
         [Side::Left, Side::Right].into_iter().filter(|&side| self.resized[side as usize]).collect()
     }
@@ -493,9 +496,10 @@ impl PoseDecoder {
         self.stream = stream;
         for told in hands_of_record(self.decoder.record()) {
             let side = told.side as usize;
-            let before = self.sizes[side].take();
-            self.resized[side] |= before.is_some() && told.morphology.is_some() && before != told.morphology;
-            self.sizes[side] = told.morphology.or(before);
+            let Some(sizes) = told.morphology else { continue };
+            let first = self.sizes[side].take().map_or_else(|| sizes.clone(), |[first, _]| first);
+            self.resized[side] |= differ(&first, &sizes);
+            self.sizes[side] = Some([first, sizes]);
         }
         self.derived_before = self.derived_before.union(&self.derived);
         self.present.clear();

@@ -1,8 +1,10 @@
 //! Poses that come one by one to the bytes of a stream.
 
+use std::collections::VecDeque;
+
 use handcast_fba::bap::{BapFrame, BapMask};
-use handcast_fba::plan::share::both;
-use handcast_fba::plan::{ClipEncoder, PlanOptions, PlanReport, Target, TimedBapFrame};
+
+use handcast_fba::plan::{ClipEncoder, PlanOptions, PlanReport, Target, TimedBapFrame, both};
 use handcast_fba::{EncodeError, FrameRate};
 use handcast_hand::{ClipHand, HandPose, PoseClip, Side, TimedPose};
 
@@ -225,7 +227,7 @@ impl PoseEncoder {
     /// A pose of a hand that was not announced, a time that goes back or on too far, live a value that cannot be
     /// coded: that tick is left out. Bytes that are ready come with the next call; the encoder stays usable.
     pub fn push(&mut self, pose: &TimedPose) -> Result<Vec<u8>, PosesToStreamError> {
-        self.front.take(pose, &mut self.frames)?;
+        self.front.take(pose)?;
         self.code()?;
         Ok(std::mem::take(&mut self.bytes))
     }
@@ -234,7 +236,8 @@ impl PoseEncoder {
     /// become frames, and fingertips are measured, on another core than the one that codes.
     ///
     /// # Errors
-    /// As [`Self::push`]; poses behind one that is refused are not taken.
+    /// As [`Self::push`], the first; poses behind one that is refused are not taken, and those behind one that cannot be coded
+    /// only where they have become frames meanwhile.
     pub fn push_all(
         &mut self,
         poses: impl IntoIterator<Item = TimedPose, IntoIter: Send>,
@@ -242,17 +245,19 @@ impl PoseEncoder {
         let mut poses = poses.into_iter();
         let (mut next, mut current, mut coded): (Vec<Frame>, Vec<Frame>, Vec<Frame>) = Default::default();
         let mut more: Result<bool, PosesToStreamError> = Ok(true);
+        let mut written = Ok(());
         loop {
             let Self { front, encoder, back, bytes, .. } = self;
-            let filling = matches!(more, Ok(true));
-            let (filled, written) = both(
+            // What has become frames is coded and measured whatever is refused.
+            let filling = written.is_ok() && matches!(more, Ok(true));
+            let (filled, done) = both(
                 || {
                     coded.drain(..).for_each(|frame| back.note(&frame));
                     if filling { front.fill(&mut poses, &mut next) } else { Ok(false) }
                 },
                 || code(encoder, &mut current, bytes),
             );
-            written?;
+            written = written.and(done);
             if filling {
                 more = filled;
             } else if current.is_empty() {
@@ -261,6 +266,7 @@ impl PoseEncoder {
             std::mem::swap(&mut coded, &mut current);
             std::mem::swap(&mut current, &mut next);
         }
+        written?;
         more?;
         Ok(std::mem::take(&mut self.bytes))
     }
@@ -271,10 +277,13 @@ impl PoseEncoder {
         self.encoder.request_intra();
     }
 
-    /// Codes the frames in hand, and measures how far off they are.
+    /// Codes the frames that are known, and measures how far off they are.
     fn code(&mut self) -> Result<(), EncodeError> {
-        let written = code(&mut self.encoder, &mut self.frames, &mut self.bytes);
-        self.frames.drain(..).for_each(|frame| self.back.note(&frame));
+        let mut written = Ok(());
+        while self.front.give(&mut self.frames) {
+            written = written.and(code(&mut self.encoder, &mut self.frames, &mut self.bytes));
+            self.frames.drain(..).for_each(|frame| self.back.note(&frame));
+        }
         written
     }
 
@@ -283,9 +292,9 @@ impl PoseEncoder {
     /// # Errors
     /// [`PosesToStreamError::Empty`] when no hand has had a valid pose; with look-ahead, a value that cannot be coded.
     pub fn finish(mut self) -> Result<EncodedEnd, PosesToStreamError> {
-        self.front.end_moment(&mut self.frames);
+        self.front.end_moment();
         self.code()?;
-        self.front.settle(&mut self.frames);
+        self.front.holder.settle();
         self.code()?;
         if !self.front.holder.is_complete() {
             return Err(PosesToStreamError::Empty { frames: self.front.poses });
@@ -398,7 +407,7 @@ impl Back {
     }
 }
 
-/// Poses that are made frames of at a time, while as many are coded.
+/// Frames that are made at a time, while as many are coded.
 const BATCH: usize = 256;
 
 /// Makes frames of poses.
@@ -435,21 +444,35 @@ impl Front {
         }
     }
 
-    /// Takes the next poses, and adds the frames that are known with them; false behind the last one.
+    /// Takes poses until there is a batch of frames; false where there are no more.
     fn fill(
         &mut self,
         poses: &mut impl Iterator<Item = TimedPose>,
         frames: &mut Vec<Frame>,
     ) -> Result<bool, PosesToStreamError> {
-        for _ in 0..BATCH {
+        loop {
+            self.give(frames);
+            if frames.len() >= BATCH {
+                return Ok(true);
+            }
             let Some(pose) = poses.next() else { return Ok(false) };
-            self.take(&pose, frames)?;
+            self.take(&pose)?;
         }
-        Ok(true)
     }
 
-    /// Takes the next pose, and adds the frames that are known with it.
-    fn take(&mut self, pose: &TimedPose, frames: &mut Vec<Frame>) -> Result<(), PosesToStreamError> {
+    /// Adds the frames that are known, up to a batch of them in all; whether there are any then.
+    fn give(&mut self, frames: &mut Vec<Frame>) -> bool {
+        let profile = self.holder.profile;
+        while frames.len() < BATCH
+            && let Some(ready) = self.holder.next()
+        {
+            frames.push(ready.into_frame(profile));
+        }
+        !frames.is_empty()
+    }
+
+    /// Takes the next pose.
+    fn take(&mut self, pose: &TimedPose) -> Result<(), PosesToStreamError> {
         let side = pose.pose.side;
         if !self.holder.has(side) {
             return Err(PosesToStreamError::Hand { side });
@@ -473,7 +496,7 @@ impl Front {
         self.last[side as usize] = Some(pose.time);
         self.latest = Some(tick);
         if self.given[side as usize] || self.moment.as_ref().is_some_and(|(at, _)| *at != tick) {
-            self.end_moment(frames);
+            self.end_moment();
         }
         let (_, moment) = self.moment.get_or_insert_with(|| (tick, Moment::at(time)));
         if pose.valid {
@@ -481,24 +504,17 @@ impl Front {
         }
         self.given[side as usize] = true;
         if self.given == self.holder.hands {
-            self.end_moment(frames);
+            self.end_moment();
         }
         Ok(())
     }
 
     /// No more poses come for the tick that is being filled.
-    fn end_moment(&mut self, frames: &mut Vec<Frame>) {
+    fn end_moment(&mut self) {
         self.given = [false; 2];
         if let Some((_, moment)) = self.moment.take() {
-            let profile = self.holder.profile;
-            self.holder.take(moment, &mut |ready: Ready<'_>| frames.push(ready.into_frame(profile)));
+            self.holder.take(moment);
         }
-    }
-
-    /// No more poses come.
-    fn settle(&mut self, frames: &mut Vec<Frame>) {
-        let profile = self.holder.profile;
-        self.holder.settle(&mut |ready: Ready<'_>| frames.push(ready.into_frame(profile)));
     }
 }
 
@@ -517,9 +533,6 @@ impl Ready<'_> {
         Frame { place: Places::new(poses, &given.baps, profile), given, held, coded: None }
     }
 }
-
-/// What takes frames as they become known.
-type Emit<'a> = dyn FnMut(Ready<'_>) + 'a;
 
 /// An instant, and the valid poses of it, left and right.
 #[derive(Clone, Debug)]
@@ -545,8 +558,8 @@ pub(crate) struct Holder {
     hands: [bool; 2],
     /// The first valid pose of each hand.
     first: [Option<Box<HandPose>>; 2],
-    /// Instants that wait for it.
-    waiting: Vec<Moment>,
+    /// Instants that no frame has been made of yet.
+    waiting: VecDeque<Moment>,
     /// The poses in force, left before right, once there is one of each hand.
     current: Vec<HandPose>,
 }
@@ -558,7 +571,7 @@ impl Holder {
             mapper: PoseMapper::new(profile),
             hands: [Side::Left, Side::Right].map(|side| hands.contains(&side)),
             first: [None, None],
-            waiting: Vec::new(),
+            waiting: VecDeque::new(),
             current: Vec::new(),
         }
     }
@@ -572,35 +585,39 @@ impl Holder {
         !self.current.is_empty()
     }
 
-    /// Takes the next instant, and hands the frames that are known to `emit`, in order.
-    pub fn take(&mut self, moment: Moment, emit: &mut Emit<'_>) {
-        if self.is_complete() {
-            return emit(self.frame(moment));
-        }
-        for (first, pose) in self.first.iter_mut().zip(&moment.poses) {
-            if first.is_none() {
-                first.clone_from(pose);
+    /// Takes the next instant.
+    pub fn take(&mut self, moment: Moment) {
+        if !self.is_complete() {
+            for (first, pose) in self.first.iter_mut().zip(&moment.poses) {
+                if first.is_none() {
+                    first.clone_from(pose);
+                }
+            }
+            if (0..2).all(|hand| self.hands[hand] == self.first[hand].is_some()) {
+                self.begin();
             }
         }
-        self.waiting.push(moment);
-        if (0..2).all(|hand| self.hands[hand] == self.first[hand].is_some()) {
-            self.begin(emit);
-        }
+        self.waiting.push_back(moment);
     }
 
     /// No more instants come: goes without a hand that has had no valid pose, where there is another one.
-    pub fn settle(&mut self, emit: &mut Emit<'_>) {
+    pub fn settle(&mut self) {
         if !self.is_complete() {
             self.hands = self.first.each_ref().map(Option::is_some);
-            self.begin(emit);
+            self.begin();
         }
     }
 
-    fn begin(&mut self, emit: &mut Emit<'_>) {
+    fn begin(&mut self) {
         self.current = self.first.iter().flatten().map(|pose| (**pose).clone()).collect();
-        if self.is_complete() {
-            std::mem::take(&mut self.waiting).into_iter().for_each(|moment| emit(self.frame(moment)));
+    }
+
+    /// The next frame that is known.
+    pub fn next(&mut self) -> Option<Ready<'_>> {
+        if !self.is_complete() {
+            return None;
         }
+        self.waiting.pop_front().map(|moment| self.frame(moment))
     }
 
     /// The frame of an instant.
@@ -614,5 +631,25 @@ impl Holder {
         }
         let frame = TimedBapFrame { time: moment.time, baps: self.mapper.frame(&self.current) };
         Ready { frame, held, poses: &self.current }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Frames take ten times the room of the instants that wait.
+    #[test]
+    fn instants_that_wait_become_frames_by_and_by() {
+        let options = PoseEncoderOptions::live(30.0).with_hands(&[Side::Left, Side::Right]);
+        let mut encoder = PoseEncoder::new(options).unwrap();
+        let pose = |frame: usize, side: Side| TimedPose::new(frame as f64 / 30.0, HandPose::neutral(side));
+        for frame in 0..5 * BATCH {
+            assert!(encoder.push(&pose(frame, Side::Right)).unwrap().is_empty());
+        }
+        assert!(encoder.push(&pose(5 * BATCH, Side::Left)).unwrap().is_empty());
+        assert!(!encoder.push(&pose(5 * BATCH, Side::Right)).unwrap().is_empty());
+        assert!(encoder.frames.capacity() <= BATCH);
+        assert_eq!(encoder.finish().unwrap().report.frames as usize, 5 * BATCH + 1);
     }
 }

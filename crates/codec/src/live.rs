@@ -1,7 +1,7 @@
 //! Hands that come and go to the bytes of streams that follow one another, for as long as that takes.
 
 use handcast_fba::plan::{PlanOptions, Target};
-use handcast_fba::syntax::{OBJECT_START, PLANE_START, SEQUENCE_END};
+use handcast_fba::syntax::SEQUENCE_END;
 use handcast_hand::{HandPose, PoseHeader, Side, TimedPose};
 
 use crate::encoder::{PoseEncoder, PoseEncoderOptions};
@@ -202,12 +202,16 @@ impl LivePoseEncoder {
     fn instant(&mut self, time: f64, poses: &[TimedPose]) -> Result<(), PosesToStreamError> {
         let mut given: [Option<&TimedPose>; 2] = [None; 2];
         for pose in poses.iter().filter(|pose| pose.valid) {
-            let side = pose.pose.side as usize;
-            if given[side].is_none() {
-                given[side] = Some(pose);
-                self.latest[side] = Some(pose.pose.clone());
-            }
-            self.seen[side] = Some(time);
+            given[pose.pose.side as usize].get_or_insert(pose);
+        }
+        let seen = self.seen;
+        self.planes_of(time, given).inspect_err(|_| self.seen = seen)
+    }
+
+    /// The same, of the poses of the left hand and of the right one.
+    fn planes_of(&mut self, time: f64, given: [Option<&TimedPose>; 2]) -> Result<(), PosesToStreamError> {
+        for (seen, _) in self.seen.iter_mut().zip(given).filter(|(_, given)| given.is_some()) {
+            *seen = Some(time);
         }
         let hands = self.hands_at(time);
         if hands.is_empty() {
@@ -222,11 +226,15 @@ impl LivePoseEncoder {
             Some(current) => current,
             None => self.begin(hands, time)?,
         };
-        let mut bytes = Vec::new();
-        let pushed = current.push(time, given, &self.latest, &mut bytes);
-        self.current = Some(current);
-        self.ready.extend(cut(&bytes));
-        pushed
+        let begins = current.tick.is_none();
+        let pushed = current.push(time, given, &self.latest, &mut self.ready);
+        // A stream whose first poses are refused would wait for others.
+        self.current = (pushed.is_ok() || !begins).then_some(current);
+        pushed?;
+        for (latest, given) in self.latest.iter_mut().zip(given) {
+            *latest = given.map(|given| given.pose.clone()).or(latest.take());
+        }
+        Ok(())
     }
 
     fn learn(&mut self, known: &PoseHeader) {
@@ -315,13 +323,13 @@ impl LivePoseEncoder {
 }
 
 impl Current {
-    /// Puts the bytes that are ready at the end of `bytes`, those before an error as well.
+    /// Puts the planes that are ready at the end of `ready`, those before an error as well.
     fn push(
         &mut self,
         time: f64,
         given: [Option<&TimedPose>; 2],
         latest: &[Option<HandPose>; 2],
-        bytes: &mut Vec<u8>,
+        ready: &mut Vec<LivePlane>,
     ) -> Result<(), PosesToStreamError> {
         let tick = ((time - self.start) * self.encoder.rate()).round() as u64;
         // Without a pose of each hand all would wait until there is one.
@@ -339,31 +347,19 @@ impl Current {
                 Some(pose) => TimedPose::new(time, pose),
                 None => TimedPose::lost(time, side),
             });
-            bytes.extend(self.encoder.push(&TimedPose { time, ..pose })?);
+            ready.extend(cut(&self.encoder.push(&TimedPose { time, ..pose })?));
         }
         Ok(())
     }
 }
 
-/// The planes of an encoder's bytes: those of one period together, and before its first start code what stands for frames
-/// left out in the period before. Several periods come at once where a hand is seen late and instants have waited for it.
+/// The planes of what an encoder gives of one instant: what stands for frames left out before it, or ends the stream, and from a
+/// start code on the plane that begins a period.
 fn cut(bytes: &[u8]) -> Vec<LivePlane> {
-    let mut begins = Vec::new();
-    // Whether the next code goes with the one before: headers and records belong to the plane behind them.
-    let mut led = false;
-    for (at, window) in bytes.windows(4).enumerate() {
-        let code = u32::from_be_bytes([window[0], window[1], window[2], window[3]]);
-        if code >> 8 != 1 || code == SEQUENCE_END {
-            continue;
-        }
-        if !std::mem::replace(&mut led, ![OBJECT_START, PLANE_START].contains(&code)) {
-            begins.push(at);
-        }
-    }
-    let ends = begins.iter().copied().skip(1).chain([bytes.len()]);
-    let periods = begins.iter().zip(ends).map(|(&begin, end)| (&bytes[begin..end], true));
-    let before = (&bytes[..begins.first().copied().unwrap_or(bytes.len())], false);
-    let planes = std::iter::once(before).chain(periods).filter(|(bytes, _)| !bytes.is_empty());
+    let begins = |code: &[u8]| code[..3] == [0, 0, 1] && code[3] != SEQUENCE_END as u8;
+    let at = bytes.windows(4).position(begins).unwrap_or(bytes.len());
+    let (before, period) = bytes.split_at(at);
+    let planes = [(before, false), (period, true)].into_iter().filter(|(bytes, _)| !bytes.is_empty());
     planes.map(|(bytes, opens)| LivePlane { bytes: bytes.to_vec(), opens }).collect()
 }
 
@@ -514,6 +510,34 @@ mod tests {
         }
     }
 
+    /// Poses that cannot be coded are none that a stream begins with, or that others wait for.
+    #[test]
+    fn a_stream_begins_without_what_is_refused() {
+        let right = |frame: u32| pose(Side::Right, f64::from(frame) / 30.0, f64::from(frame));
+        for [bend, before] in [[f64::NAN, 0.0], [1e9, 0.0], [f64::NAN, 1.0], [1e9, 1.0]] {
+            let mut encoder = LivePoseEncoder::new(LivePoseEncoderOptions::default());
+            let mut decoder = PoseDecoder::new(PoseDecoderOptions::default());
+            let before = before as u32 * 15;
+            let mut shown = Vec::new();
+            for frame in 0..60 {
+                let time = f64::from(frame) / 30.0;
+                let refused = frame == before;
+                let poses = match refused {
+                    true => vec![right(frame), pose(Side::Left, time, bend)],
+                    false => vec![right(frame)],
+                };
+                let planes = encoder.push(time, &poses, &PoseHeader::default());
+                assert_eq!(planes.is_err(), refused, "{bend} at {before}: {frame}");
+                for plane in planes.unwrap_or_default() {
+                    shown.extend(decoder.push_whole(&plane.bytes).unwrap());
+                }
+                assert!(refused || encoder.hands() == [Side::Right]);
+            }
+            assert!(shown.len() >= 58, "{bend} at {before}: {}", shown.len());
+            assert!(shown.iter().all(|pose| pose.pose.side == Side::Right));
+        }
+    }
+
     /// What a consumer begins at begins a period, also among planes that waited for the end.
     #[test]
     fn planes_that_wait_for_the_end_keep_to_their_periods() {
@@ -537,20 +561,18 @@ mod tests {
     }
 
     #[test]
-    fn bytes_are_cut_where_periods_begin() {
+    fn bytes_are_cut_where_a_period_begins() {
         let plane = |code: u8| [&[0, 0, 1, code][..], &[7; 5]].concat();
         let told = |bytes: &[u8]| -> Vec<(usize, bool)> {
             cut(bytes).iter().map(|plane| (plane.bytes.len(), plane.opens)).collect()
         };
         let header = [plane(0xb0), plane(0xb2), plane(0xb5), plane(0xba)].concat();
-        let noted = [plane(0xb2), plane(0xbb)].concat();
         assert_eq!(told(&[]), []);
         assert_eq!(told(&[7; 3]), [(3, false)]);
         assert_eq!(told(&plane(0xb1)), [(9, false)]);
         assert_eq!(told(&header), [(36, true)]);
-        assert_eq!(told(&[&[7; 3], &noted[..], &noted].concat()), [(3, false), (18, true), (18, true)]);
-        let whole = [header, plane(0xbb), noted, plane(0xb1), plane(0xba)].concat();
-        assert_eq!(told(&whole), [(36, true), (9, true), (27, true), (9, true)]);
+        let ended = [&[7; 3], &plane(0xb2)[..], &plane(0xbb), &plane(0xb1)].concat();
+        assert_eq!(told(&ended), [(3, false), (27, true)]);
     }
 
     #[test]

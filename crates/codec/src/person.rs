@@ -100,6 +100,22 @@ pub fn skin_tone_of_record(record: &Record) -> Option<u8> {
     read(record.bytes())?.1
 }
 
+/// Metres beyond which a viewer sees that sizes are others: twice what rounding to the coarsest of [`STEPS`], and hands made
+/// alike, take from those of one person.
+const SEEN: f64 = 2e-3;
+
+/// Whether hands of these sizes are seen to be others: where joints are, not how thick flesh is, for which a record may have no
+/// room.
+pub(crate) fn differ(one: &Morphology, other: &Morphology) -> bool {
+    let off = |one: f64, other: f64| (one - other).abs() > SEEN;
+    let mut fingers = one.fingers.iter().zip(&other.fingers);
+    off(one.hand_length, other.hand_length)
+        || fingers.any(|(one, other)| {
+            let places = one.bones.iter().chain(&one.base).zip(other.bones.iter().chain(&other.base));
+            places.into_iter().any(|(one, other)| off(*one, *other))
+        })
+}
+
 fn is_tone(tone: &u8) -> bool {
     skin_tone(*tone).is_some()
 }

@@ -52,6 +52,48 @@ fn live() -> PlanOptions {
     plan(Target::Rms(0.5), true)
 }
 
+/// Frames around one that cannot be coded count as they do where poses come one by one.
+#[test]
+fn poses_taken_together_are_all_measured_around_one_that_cannot_be_coded() {
+    let mut clip = clip(&SIDES[1..], 600);
+    clip.frames[300].pose = HandPose::neutral(Side::Right).with_degrees(JointAngle::Index1Flexion, 1e9);
+    let mut one_by_one = encoder(&SIDES[1..], live());
+    let mut bytes = Vec::new();
+    let mut errors = Vec::new();
+    for pose in &clip.frames {
+        match one_by_one.push(pose) {
+            Ok(ready) => bytes.extend(ready),
+            Err(error) => errors.push(error.to_string()),
+        }
+    }
+    let mut together = encoder(&SIDES[1..], live());
+    let refused = together.push_all(clip.frames.iter().cloned()).unwrap_err().to_string();
+    assert_eq!(errors, [refused]);
+    let [one, other] = [one_by_one, together].map(|encoder| encoder.finish().unwrap());
+    bytes.extend(one.bytes);
+    assert_eq!((bytes, one.report, one.tips), (other.bytes, other.report, other.tips));
+}
+
+/// The instants before the first pose of the second hand wait for it.
+#[test]
+fn a_hand_that_comes_late_has_its_first_pose_from_the_start() {
+    let mut clip = clip(&SIDES, 600);
+    clip.frames.iter_mut().take(1198).for_each(|frame| frame.valid = frame.pose.side == Side::Right);
+    for plan in [live(), plan(Target::Quant(8), false)] {
+        let mut one_by_one = encoder(&SIDES, plan);
+        let mut together = encoder(&SIDES, plan);
+        let mut bytes = Vec::new();
+        clip.frames.iter().for_each(|pose| bytes.extend(one_by_one.push(pose).unwrap()));
+        assert_eq!(together.push_all(clip.frames.iter().cloned()).unwrap(), bytes);
+        let [one, other] = [one_by_one, together].map(|encoder| encoder.finish().unwrap());
+        assert_eq!((&one.bytes, &one.report, one.tips), (&other.bytes, &other.report, other.tips));
+        bytes.extend(one.bytes);
+        let decoded = decode_poses(&bytes, None, DecoderOptions::default()).unwrap().clip;
+        let [left, right] = SIDES.map(|side| decoded.of(side).count());
+        assert_eq!((left, right), (600, 600));
+    }
+}
+
 /// What is made and measured on another core meanwhile is the same, however many poses there are, up to the first that is
 /// refused.
 #[test]

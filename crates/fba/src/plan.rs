@@ -18,7 +18,7 @@ mod plans;
 mod ranges;
 mod report;
 mod search;
-pub mod share;
+mod share;
 mod steering;
 mod windows;
 
@@ -27,6 +27,8 @@ pub use encoder::{ClipEncoder, encode_clip};
 pub use live::LiveEncoder;
 pub use options::{Choices, Levels, PlanOptions, Target};
 pub use report::PlanReport;
+#[doc(hidden)]
+pub use share::both;
 
 pub use crate::bap::TimedBapFrame;
 

@@ -196,7 +196,7 @@ impl Skeleton {
     }
 
     /// Fingertips of hands of one side and of different sizes in the same pose, metres in the camera frame: those of
-    /// [`Self::frames`], in less time.
+    /// [`Self::frames`], in less time. Of hands of both sides only those of the first one's side are right.
     ///
     /// ```
     /// use handcast_hand::{Finger, HandPose, Joint, Morphology, Side, Skeleton};
@@ -237,6 +237,7 @@ impl Skeleton {
         mut out: impl FnMut(Finger, Joint, &[Vector3<f64>; N], Quaternion<f64>),
     ) {
         let Some(first) = hands.first() else { return };
+        debug_assert!(hands.iter().all(|hand| hand.side == first.side), "hands of both sides");
         let mut halves = [0.0; JointAngle::COUNT];
         for ((half, turn), angle) in halves.iter_mut().zip(&first.turns).zip(angles) {
             *half = turn.factor * angle + turn.rest;
@@ -250,7 +251,7 @@ impl Skeleton {
             let joints = Joint::of(finger);
             let mut places = chains.map(|chain| wrist.translation.vector + axes * chain.metacarpal);
             let (flexion, abduction) = (by(finger.base_flexion()), by(finger.abduction()));
-            let (base, first) = match finger.palm_flexion() {
+            let (base, bent) = match finger.palm_flexion() {
                 None => (turn_x(turn_z(root, flexion), abduction), 0),
                 Some(palm) => {
                     let bone = turn_x(root, by(palm));
@@ -267,15 +268,15 @@ impl Skeleton {
                     *place += along_y(turn, chain.bones[k]);
                 }
             };
-            out(finger, joints[first], &places, turn);
+            out(finger, joints[bent], &places, turn);
             let bends = [by(finger.middle_flexion()), by(finger.end_flexion())];
             for (k, bend) in bends.into_iter().enumerate() {
                 along(&mut places, &turn, k);
                 turn = turn_x(turn, bend);
-                out(finger, joints[first + 1 + k], &places, turn);
+                out(finger, joints[bent + 1 + k], &places, turn);
             }
             along(&mut places, &turn, 2);
-            out(finger, joints[first + 3], &places, turn);
+            out(finger, joints[bent + 3], &places, turn);
         }
     }
 }

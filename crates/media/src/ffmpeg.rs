@@ -148,7 +148,7 @@ fn open_with<S: AsRef<std::ffi::OsStr>>(
         path: name.to_owned(),
         program: program.display().to_string(),
     };
-    let Some(stdout) = stdout else { return Err(helper.failure("it gave no output")) };
+    let Some(stdout) = stdout else { return Err(helper.failure(last_said, "it gave no output")) };
     let matrix = YuvMatrix { bt709: true, full_range: false };
     match Y4mSource::open(Box::new(stdout), name, options, Some(matrix)) {
         Ok(mut frames) => {
@@ -162,7 +162,7 @@ fn open_with<S: AsRef<std::ffi::OsStr>>(
             Ok(Box::new(FfmpegSource { frames, times, helper }))
         }
         Err(FrameError::Empty { .. } | FrameError::Truncated { .. }) => {
-            Err(helper.failure("it gave no picture"))
+            Err(helper.failure(why_no_picture, "it gave no picture"))
         }
         Err(error) => Err(error),
     }
@@ -242,8 +242,8 @@ struct Helper {
 }
 
 impl Helper {
-    /// Ends the program and tells what it said, or `otherwise` if it said nothing.
-    fn failure(&mut self, otherwise: &str) -> FrameError {
+    /// Ends the program and tells the reason that is in what it said, or `otherwise` if there is none.
+    fn failure(&mut self, reason: fn(&str) -> Option<&str>, otherwise: &str) -> FrameError {
         self.stop();
         let said = self.messages.take().and_then(|thread| thread.join().ok()).unwrap_or_default();
         FrameError::Helper {
@@ -280,8 +280,8 @@ impl Drop for Helper {
     }
 }
 
-/// Why the program failed, by what it said; none where it said nothing.
-fn reason(said: &str) -> Option<&str> {
+/// Why the program gave no picture at all, by what it said; none where it said nothing.
+fn why_no_picture(said: &str) -> Option<&str> {
     // It has read up to the tables, and cannot go back to the pictures; what it says last does not tell that.
     let ahead = ["partial file", "Stream ends prematurely"].iter().all(|words| said.contains(words));
     if ahead {
@@ -291,6 +291,11 @@ fn reason(said: &str) -> Option<&str> {
              -i FILE -c copy -movflags +faststart NEW)",
         );
     }
+    last_said(said)
+}
+
+/// The last that the program said of what went wrong.
+fn last_said(said: &str) -> Option<&str> {
     // What follows an error may be advice on how to call the program.
     said.lines().rfind(|line| !line.is_empty() && !line.starts_with("To ignore this"))
 }
@@ -318,10 +323,12 @@ impl FrameSource for FfmpegSource {
                     self.helper.listen();
                     Ok(None)
                 }
-                Ok(status) => Err(self.helper.failure(&format!("it ended with {status}"))),
-                Err(error) => Err(self.helper.failure(&error.to_string())),
+                Ok(status) => Err(self.helper.failure(last_said, &format!("it ended with {status}"))),
+                Err(error) => Err(self.helper.failure(last_said, &error.to_string())),
             },
-            Err(FrameError::Truncated { .. }) => Err(self.helper.failure("its output ends within a picture")),
+            Err(FrameError::Truncated { .. }) => {
+                Err(self.helper.failure(last_said, "its output ends within a picture"))
+            }
             other => other,
         }
     }
@@ -333,15 +340,18 @@ impl FrameSource for FfmpegSource {
 
 #[cfg(test)]
 mod tests {
-    use super::reason;
+    use super::{last_said, why_no_picture};
 
     #[test]
     fn reasons_are_what_was_said_last_or_what_it_means() {
-        assert_eq!(reason(""), None);
-        assert_eq!(reason("one\ntwo\nTo ignore this, add a '?'"), Some("two"));
+        assert_eq!((last_said(""), why_no_picture("")), (None, None));
+        assert_eq!(why_no_picture("one\ntwo\nTo ignore this, add a '?'"), Some("two"));
         let said = "[mov,mp4 @ 0x55] stream 0, offset 0x30: partial file\n\
                     [http @ 0x55] Stream ends prematurely at 48, should be 493471\n\
                     Error marking filters as finished";
-        assert!(reason(said).is_some_and(|said| said.contains("tables") && said.contains("+faststart")));
+        let why = why_no_picture(said).unwrap();
+        assert!(why.contains("tables") && why.contains("+faststart"), "{why}");
+        // Behind pictures it is the server that went away.
+        assert_eq!(last_said(said), Some("Error marking filters as finished"));
     }
 }

@@ -69,9 +69,10 @@ pub fn encode<'py>(
 
 /// A whole FBA stream (bytes, bytearray, memoryview) as poses, of hands of the sizes that it carries.
 ///
-/// Warns (HandcastWarning) of bytes before and behind the stream, and of further streams, which become one clip. Raises Error
-/// where it is cut, damaged or moves no hand; with conceal a hand keeps its last pose from damage on to where a decoder can
-/// start again, these poses are not valid, and what was damaged is warned of.
+/// Warns (HandcastWarning) of bytes before and behind the stream, of further streams, which become one clip, and where these
+/// tell different sizes of a hand, of which the clip has the last. Raises Error where it is cut, damaged or moves no hand; with
+/// conceal a hand keeps its last pose from damage on to where a decoder can start again, these poses are not valid, and what
+/// was damaged is warned of.
 #[pyfunction]
 #[pyo3(signature = (stream, *, conceal=false))]
 pub fn decode(py: Python<'_>, stream: &Bound<'_, PyAny>, conceal: bool) -> PyResult<Clip> {
@@ -86,8 +87,9 @@ pub fn decode(py: Python<'_>, stream: &Bound<'_, PyAny>, conceal: bool) -> PyRes
 
 /// The poses in a motion file, of all kinds that `handcast encode` reads; keys are put on even times.
 ///
-/// Warns (HandcastWarning) of uneven times that are interpolated, and where joint positions leave open which hand it is. Raises Error where the content is wrong, FileNotFoundError
-/// and other OSError where it cannot be read.
+/// Warns (HandcastWarning) of uneven times that are interpolated, and where joint positions leave open which hand it is; of a
+/// stream not of what decode() warns of. Raises Error where the content is wrong, FileNotFoundError and other OSError where it
+/// cannot be read.
 #[pyfunction]
 pub fn load(py: Python<'_>, path: PathBuf) -> PyResult<Clip> {
     let (clip, said) = apart(py, move || {

@@ -45,6 +45,11 @@ def skin(left):
     return plane(1, 170, 90) + plane(2, 110, 128) + plane(2, 152, 128)
 
 
+def binary(glb):
+    """What a GLB file has behind its JSON."""
+    return glb[20 + int.from_bytes(glb[12:16], "little") :]
+
+
 class Tracked(InFolder):
     """What is tracked of the built-in clip."""
 
@@ -104,12 +109,16 @@ class Tracked(InFolder):
     def test_files_are_the_same_where_skins_are_kept(self):
         decoded = handcast.decode(handcast.encode(self.clip))
         first = handcast.to_glb(decoded)
+        # Another process has kept none.
+        (self.folder / "kept.fba").write_bytes(handcast.encode(self.clip))
+        done("decode", self.folder / "kept.fba", "-o", self.folder / "kept.glb")
+        self.assertEqual(binary(first), binary((self.folder / "kept.glb").read_bytes()))
+        handcast.to_glb(handcast.Clip(decoded.hands, decoded.rate, skin_tone=9))
         self.assertEqual(handcast.to_glb(decoded), first)
         self.assertEqual(handcast.to_format(decoded, "glb"), first)
         self.assertIn(b'"asset"', handcast.to_format(decoded, "gltf"))
 
     def test_files_have_the_tone_of_the_skin(self):
-        binary = lambda glb: glb[20 + int.from_bytes(glb[12:16], "little"):]
         decoded = handcast.decode(handcast.encode(self.clip))
         self.assertEqual((self.clip.skin_tone, decoded.skin_tone), (3, 3))
         dark = handcast.Clip(decoded.hands, decoded.rate, skin_tone=8)

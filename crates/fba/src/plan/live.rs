@@ -660,12 +660,12 @@ fn choose(slot: &Slot, wanted: i64, model: &Adaptive<'_>, lambda: f64, worth: &W
         error(level) + lambda * (f64::from(model.total()) / f64::from(above - below)).log2()
     };
     let (mut least, mut level) = (cost(nearest), nearest);
-    let lower = [nearest - nearest.signum(), 0];
-    // Both are the nearest one, or the same one, where that is 0 or beside it.
-    for &other in lower.get(usize::from(nearest.abs() < 2)..).unwrap_or_default() {
-        if nearest == 0 {
-            break;
-        }
+    let lower: &[i32] = match nearest.abs() {
+        0 => &[],
+        1 => &[0],
+        _ => &[nearest - nearest.signum(), 0],
+    };
+    for &other in lower {
         let cost = cost(other);
         if cost < least {
             (least, level) = (cost, other);

@@ -264,12 +264,13 @@ def encode(
     """
 
 def decode(stream: Buffer, *, conceal: bool = False) -> Clip:
-    """A whole FBA stream as poses, of hands of the sizes that it carries. Warns of bytes before and behind it, and of further
-    streams. With conceal damage is no error: the hand keeps its last pose, not valid, to where a decoder can start again, and
-    a warning says what was damaged."""
+    """A whole FBA stream as poses, of hands of the sizes that it carries. Warns of bytes before and behind it, of further
+    streams, and where these tell different sizes of a hand, of which the clip has the last. With conceal damage is no error:
+    the hand keeps its last pose, not valid, to where a decoder can start again, and a warning says what was damaged."""
 
 def load(path: _Path) -> Clip:
-    """The poses in a motion file: all kinds that `handcast encode` reads. Raises Error, FileNotFoundError and other OSError."""
+    """The poses in a motion file: all kinds that `handcast encode` reads; of a stream nothing is warned of that decode() warns
+    of. Raises Error, FileNotFoundError and other OSError."""
 
 def to_format(clip: Clip, format: str) -> bytes:
     """The clip as a file: "glb", "gltf", "jsonl", "json", "csv", "bvh", "vrma", "webxr", "landmarks", "pose", "bap"."""

@@ -187,7 +187,8 @@ impl LiveEncoder {
             };
             for (end, reach) in span.into_iter().zip(usual).enumerate() {
                 let sign = if end == 0 { 1 } else { -1 };
-                let wide = (sign * reach.0).max(sign * reach.1).max(0);
+                let toward = |reach: i32| reach.saturating_mul(sign);
+                let wide = toward(reach.0).max(toward(reach.1)).max(0);
                 // One that no I plane carries is not wanted.
                 let Ok(wide) = intra_codes(bap, sign * wide, steps, quant) else { continue };
                 if let Some(codes) = &mut params.ranges[end] {
