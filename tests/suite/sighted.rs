@@ -10,7 +10,7 @@ use handcast_track::pipeline::{
     ClipError, ClipOptions, ClipSink, FinderSource, TrackedFrame, Tracker, track_frames,
 };
 use handcast_track::{HandModel, View};
-use handcast_vision::sighting::{ReadySightings, Region, Sighting};
+use handcast_vision::sighting::{FindError, HandFinder, ReadySightings, Region, Sighting};
 use image::RgbImage;
 
 const FRAMES: usize = 60;
@@ -192,6 +192,66 @@ fn no_open_hand_is_needed() {
     let (_, poses) = tracked(&synth, seen, |i| synth.render(i).image).unwrap();
     let found = poses.iter().filter(|p| p.valid).count();
     assert!(found >= FRAMES / 2 - 1, "{found}");
+}
+
+/// A finder that sees hands from a frame on, and follows them back for some frames.
+#[derive(Debug)]
+struct Late {
+    sightings: Vec<(RgbImage, Sighting)>,
+    seen_from: usize,
+    followed_from: usize,
+    next: usize,
+}
+
+impl HandFinder for Late {
+    fn find(&mut self, _: &RgbImage, _: f64, hands: &mut Vec<Sighting>) -> Result<(), FindError> {
+        hands.clear();
+        hands.extend(
+            self.sightings.get(self.next).filter(|_| self.next >= self.seen_from).map(|s| s.1.clone()),
+        );
+        self.next += 1;
+        Ok(())
+    }
+
+    fn look_back(
+        &mut self,
+        picture: &RgbImage,
+        after: &[Sighting],
+        hands: &mut Vec<Sighting>,
+    ) -> Result<(), FindError> {
+        hands.clear();
+        let at = self.sightings.iter().position(|(shown, _)| shown == picture).unwrap();
+        let own = |hand: &Sighting| after.iter().any(|other| other.region.overlap(&hand.region) > 0.5);
+        let shown = Some(&self.sightings[at].1).filter(|hand| at >= self.followed_from && own(hand));
+        hands.extend(shown.cloned());
+        Ok(())
+    }
+}
+
+#[test]
+fn a_hand_that_is_seen_late_is_followed_back() {
+    let synth = synth(Side::Right, View::Palm, ScriptedMotion::Abduction);
+    // Within the frames that colours are learnt from; behind them; for as long as it goes.
+    for (seen_from, followed_from, learning) in [(20, 0, 48), (35, 20, 24), (20, 15, 48), (20, 20, 48)] {
+        let mut random = Random::new(7, 1);
+        let sightings: Vec<_> =
+            (0..FRAMES).map(|i| (synth.render(i).image, sighting(&synth, i, &mut random))).collect();
+        let mut options = ClipOptions { learning_frames: learning, ..ClipOptions::default() };
+        let pictures: Vec<_> = sightings.iter().map(|(picture, _)| picture.clone()).collect();
+        options.finder = Some(FinderSource::new(move || {
+            Box::new(Late { sightings: sightings.clone(), seen_from, followed_from, next: 0 })
+        }));
+        let mut tracker = Tracker::new(options);
+        let mut poses = Vec::new();
+        for (index, image) in pictures.into_iter().enumerate() {
+            poses.extend(tracker.push(Frame { index, time: synth.time(index), image }).unwrap());
+        }
+        poses.extend(tracker.finish().unwrap());
+        assert_eq!(poses.len(), FRAMES);
+        let first = poses.iter().position(|pose| pose.valid);
+        assert_eq!(first, Some(followed_from), "seen from frame {seen_from} on");
+        assert!(poses[followed_from..].iter().all(|pose| pose.valid));
+    }
 }
 
 #[test]

@@ -88,6 +88,22 @@ pub trait HandFinder: Debug + Send {
     /// Where the finder cannot do its work at all; `hands` is empty then.
     fn find(&mut self, picture: &RgbImage, time: f64, hands: &mut Vec<Sighting>) -> Result<(), FindError>;
 
+    /// Writes over `hands` those of `after`, the hands of a picture that comes behind this one, which this one shows near the
+    /// same places, whatever has been found in it before; the pictures that [`Self::find`] is given go on as if this had not
+    /// been asked. One that cannot tell writes none.
+    ///
+    /// # Errors
+    /// As [`Self::find`].
+    fn look_back(
+        &mut self,
+        _picture: &RgbImage,
+        _after: &[Sighting],
+        hands: &mut Vec<Sighting>,
+    ) -> Result<(), FindError> {
+        hands.clear();
+        Ok(())
+    }
+
     /// How many hands it saw in the last picture besides those that it gave, as far as it looked for any.
     fn further(&self) -> usize {
         0
@@ -100,6 +116,15 @@ pub trait HandFinder: Debug + Send {
 impl<F: HandFinder + ?Sized> HandFinder for Box<F> {
     fn find(&mut self, picture: &RgbImage, time: f64, hands: &mut Vec<Sighting>) -> Result<(), FindError> {
         (**self).find(picture, time, hands)
+    }
+
+    fn look_back(
+        &mut self,
+        picture: &RgbImage,
+        after: &[Sighting],
+        hands: &mut Vec<Sighting>,
+    ) -> Result<(), FindError> {
+        (**self).look_back(picture, after, hands)
     }
 
     fn further(&self) -> usize {

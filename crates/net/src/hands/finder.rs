@@ -18,9 +18,10 @@ const SIDE: usize = 224;
 /// hand's: half a palm's breadth.
 const SAME_PALM: f64 = 0.15;
 
-/// Joints that are nearer to each other than this share of the region's side, on average, are of the same hand: a
 /// Most further hands that are counted in a picture.
 const MOST_FURTHER: usize = 4;
+
+/// Joints that are nearer to each other than this share of the region's side, on average, are of the same hand: a
 /// seventh of the hand's length, where neighbouring fingers are an eighth apart.
 const SAME_JOINTS: f64 = 0.1;
 
@@ -425,6 +426,24 @@ impl HandFinder for NetFinder {
         })
     }
 
+    fn look_back(
+        &mut self,
+        picture: &RgbImage,
+        after: &[Sighting],
+        hands: &mut Vec<Sighting>,
+    ) -> Result<(), FindError> {
+        hands.clear();
+        if picture.width() == 0 || picture.height() == 0 {
+            return Ok(());
+        }
+        let regions = after.iter().map(|hand| Region::of_joints(&hand.points));
+        let found = regions.into_iter().try_for_each(|region| self.add(picture, &region, hands));
+        found.map_err(|error| {
+            hands.clear();
+            FindError::new(error)
+        })
+    }
+
     fn further(&self) -> usize {
         self.further
     }
@@ -563,6 +582,25 @@ mod tests {
         for square in [(100, 100, true), (280, 280, false), (100, 280, true)] {
             assert_at(&find(&mut finder, &[square]), &[square]);
         }
+    }
+
+    #[test]
+    fn a_hand_is_followed_back_without_its_palm_being_looked_for() {
+        // None is sure enough to be a palm.
+        let mut finder = finder(NetFinderOptions::default().with_palm_score(1.1));
+        let mut sure = self::finder(NetFinderOptions::default());
+        let mut hands = Vec::new();
+        sure.find(&picture(&[(108, 120, true)]), 0.0, &mut hands).unwrap();
+        let mut before = Vec::new();
+        for (square, shown) in [((100, 120, true), true), ((284, 300, true), false)] {
+            assert_at(&find(&mut finder, &[square]), &[]);
+            finder.look_back(&picture(&[square]), &hands, &mut before).unwrap();
+            assert_eq!(before.len(), usize::from(shown), "{square:?}");
+        }
+        finder.look_back(&RgbImage::new(0, 0), &hands, &mut before).unwrap();
+        assert!(before.is_empty());
+        // What was looked for there is not followed.
+        assert_at(&find(&mut finder, &[(100, 120, true)]), &[]);
     }
 
     #[test]

@@ -53,13 +53,43 @@ pub(super) struct SightedSilhouettes {
     finder: Box<dyn HandFinder>,
     segmenter: Box<GuidedSegmenter>,
     tuning: SightedTuning,
-    /// The hands of the last frame, with the number of frames since they were seen.
-    last: Vec<(Sighting, usize)>,
+    /// The hands of the last frames.
+    last: Vec<Followed>,
     /// Frames whose colours are still being learnt.
     waiting: Option<VecDeque<(Frame, Vec<Sighting>)>>,
     enough: usize,
     /// Most hands in a frame beside two.
     further: usize,
+}
+
+/// A hand that is seen in frames one after the other.
+#[derive(Clone, Debug)]
+struct Followed {
+    hand: Sighting,
+    /// Frames since it was seen.
+    missed: usize,
+    /// Frames in which it was seen, and the sum of its presence in them.
+    seen: usize,
+    presence: f64,
+}
+
+impl Followed {
+    /// A hand as a frame shows it, which may be one of those of the frame next to it.
+    fn seen(hand: &Sighting, next: &[Self]) -> Self {
+        let own = next.iter().find(|followed| followed.is_in(hand));
+        let (seen, presence) = own.map_or((0, 0.0), |own| (own.seen, own.presence));
+        Self { hand: hand.clone(), missed: 0, seen: seen + 1, presence: presence + hand.presence }
+    }
+
+    /// Whether it is about where this one was looked for.
+    fn is_in(&self, hand: &Sighting) -> bool {
+        hand.region.overlap(&self.hand.region) > SAME_REGION
+    }
+
+    /// Whether it has been seen for long enough, and surely enough, to be a hand.
+    fn is_hand(&self, tuning: &SightedTuning) -> bool {
+        self.seen >= tuning.least_seen && self.presence >= tuning.least_presence * self.seen as f64
+    }
 }
 
 /// Most hands that are tracked.
@@ -88,23 +118,65 @@ impl SightedSilhouettes {
     /// Takes a frame; gives those whose silhouettes are found.
     pub(super) fn push(&mut self, frame: Frame) -> Result<Vec<Found>, FindError> {
         let hands = self.look(&frame)?;
-        // While frames wait each of them tells something new.
-        if self.waiting.is_some() || frame.index.is_multiple_of(self.tuning.learn_every.max(1)) {
-            self.segmenter.learn(&frame.image, &hands);
-        }
-        match &mut self.waiting {
-            Some(waiting) => {
-                waiting.push_back((frame, hands));
-                Ok(if waiting.len() >= self.enough { self.rest() } else { Vec::new() })
+        let Some(waiting) = &mut self.waiting else {
+            if frame.index.is_multiple_of(self.tuning.learn_every.max(1)) {
+                self.segmenter.learn(&frame.image, &hands);
             }
-            None => Ok(vec![self.segmented(frame, hands)]),
+            return Ok(vec![self.segmented(frame, hands)]);
+        };
+        waiting.push_back((frame, hands));
+        if waiting.len() < self.enough {
+            return Ok(Vec::new());
         }
+        if self.last.iter().any(|followed| followed.is_hand(&self.tuning)) {
+            return self.rest();
+        }
+        // Before nobody has come the newest frames wait: they may show a hand that is seen only later.
+        let gone: Vec<_> = waiting.drain(..=waiting.len() - self.enough).collect();
+        Ok(gone.into_iter().map(|(frame, hands)| self.learnt(frame, hands)).collect())
     }
 
     /// The frames that wait.
-    pub(super) fn rest(&mut self) -> Vec<Found> {
-        let waiting = self.waiting.take().unwrap_or_default();
-        waiting.into_iter().map(|(frame, hands)| self.segmented(frame, hands)).collect()
+    pub(super) fn rest(&mut self) -> Result<Vec<Found>, FindError> {
+        let mut waiting = self.waiting.take().unwrap_or_default();
+        self.look_back(&mut waiting)?;
+        // While frames wait each of them tells something new.
+        waiting.iter().for_each(|(frame, hands)| self.segmenter.learn(&frame.image, hands));
+        Ok(waiting.into_iter().map(|(frame, hands)| self.segmented(frame, hands)).collect())
+    }
+
+    /// Adds to frames that wait the hands of those behind them that the finder did not see there: it finds a fist less easily
+    /// than it follows one.
+    fn look_back(&mut self, waiting: &mut VecDeque<(Frame, Vec<Sighting>)>) -> Result<(), FindError> {
+        let mut behind: Vec<Followed> = Vec::new();
+        let mut found = Vec::new();
+        for (frame, hands) in waiting.iter_mut().rev() {
+            let is_missed = |followed: &&Followed| {
+                let again = |hand: &Sighting| hand.presence > 0.0 && followed.is_in(hand);
+                followed.is_hand(&self.tuning) && !hands.iter().any(again)
+            };
+            let missed: Vec<Sighting> =
+                behind.iter().filter(is_missed).map(|followed| followed.hand.clone()).collect();
+            if !missed.is_empty() {
+                self.finder.look_back(&frame.image, &missed, &mut found)?;
+                found.retain(is_sound);
+                // In the place of those that were kept where they had been.
+                let own = |held: &Sighting| {
+                    found.iter().any(|hand| hand.region.overlap(&held.region) > SAME_REGION)
+                };
+                hands.retain(|hand| hand.presence > 0.0 || !own(hand));
+                hands.append(&mut found);
+            }
+            let seen = hands.iter().filter(|hand| hand.presence > 0.0);
+            behind = seen.map(|hand| Followed::seen(hand, &behind)).collect();
+        }
+        Ok(())
+    }
+
+    /// Learns from a frame and segments it.
+    fn learnt(&mut self, frame: Frame, hands: Vec<Sighting>) -> Found {
+        self.segmenter.learn(&frame.image, &hands);
+        self.segmented(frame, hands)
     }
 
     /// The hands in the frame. One that has just been lost is kept where it was for a few frames, with no presence.
@@ -114,14 +186,14 @@ impl SightedSilhouettes {
         hands.retain(is_sound);
         let seen = hands.len();
         self.further = self.further.max(seen.saturating_sub(TRACKED) + self.finder.further());
-        for (held, missed) in std::mem::take(&mut self.last) {
-            let again = hands[..seen].iter().any(|hand| hand.region.overlap(&held.region) > SAME_REGION);
-            if !again && missed < self.tuning.held {
-                self.last.push((held.clone(), missed + 1));
-                hands.push(Sighting { presence: 0.0, ..held });
+        let before = std::mem::take(&mut self.last);
+        self.last.extend(hands.iter().map(|hand| Followed::seen(hand, &before)));
+        for held in before {
+            if !hands[..seen].iter().any(|hand| held.is_in(hand)) && held.missed < self.tuning.held {
+                hands.push(Sighting { presence: 0.0, ..held.hand.clone() });
+                self.last.push(Followed { missed: held.missed + 1, ..held });
             }
         }
-        self.last.extend(hands[..seen].iter().map(|hand| (hand.clone(), 0)));
         Ok(hands)
     }
 

@@ -183,7 +183,8 @@ impl Silhouettes {
         match &mut self.way {
             Way::Sighted(sighted) => {
                 let begun = Instant::now();
-                let found = sighted.rest();
+                let index = self.frames.saturating_sub(1);
+                let found = sighted.rest().map_err(|reason| ClipError::Find { index, reason })?;
                 self.hand_all(found, begun, next)
             }
             Way::Learning(_) if self.frames > 0 => self.learn(true, next),
