@@ -81,6 +81,16 @@ tuning! {
         /// Difference from the open hand's flexion at which that prior has faded.
         ["rad", "spec/registration.md 5, Prior; handcast bench track --no-methods on rendered sequences"]
         pub open_reach: f64 = 0.2,
+        /// Flexion of the first and the middle joint of a long finger in a fist.
+        ["rad", "fists recorded by a headset and scripted ones: 80 to 90 and 90 to 100 degrees"]
+        pub closed: [f64; 2] = [1.5, 1.7],
+        /// Standard deviation of a flexion from that of a fist, while it is near to it: where nothing is seen of a folded
+        /// finger it is folded wholly.
+        ["rad", "spec/registration.md 5, what the fist's prior gains"]
+        pub closed_flexion: f64 = 0.45,
+        /// Difference from the fist's flexion at which that prior has faded.
+        ["rad", "spec/registration.md 5, what the fist's prior gains"]
+        pub closed_reach: f64 = 0.4,
         /// Standard deviation of the tilt from that of the open hand. Silhouettes hardly show it, and wrong postures
         /// seek it.
         ["rad", "spec/registration.md 5, what firm priors gain; handcast bench track CLIP --no-methods"]
@@ -230,6 +240,10 @@ impl Prior<'_> {
             let with_bend = if (0.0..FRAC_PI_2).contains(&flexion) { opened / FRAC_PI_2 } else { 0.0 };
             let gradient = [(FREE + abduction, 1.0), (FREE + base, with_bend)];
             add(&gradient, residual, Loss::quadratic(t.abduction));
+            let closed = Loss::geman_mcclure(t.closed_flexion, t.closed_reach);
+            for (i, fist) in [base, outer].into_iter().zip(t.closed) {
+                add(&[(FREE + i, 1.0)], state.free[i] - fist, closed);
+            }
             let uneven = t.flexion_ratio * state.free[outer] - state.free[base];
             let gradient = [(FREE + outer, t.flexion_ratio), (FREE + base, -1.0)];
             add(&gradient, uneven, Loss::quadratic(t.flexion_ratio_deviation));
