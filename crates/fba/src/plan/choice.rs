@@ -6,19 +6,18 @@
 //! was planned; what a choice costs is measured anew.
 
 use std::ops::Range;
+use std::sync::Arc;
 
-use super::attempt::{Prices, Recipe};
+use super::attempt::Made;
 use super::windows::Windows;
 
-/// What is kept of a plan of a section: what choosing needs, and what it can be made again from.
+/// Plans of a section.
 pub(super) struct Variant {
     /// Bits of its frames.
     pub bits: Box<[u32]>,
     /// Squared error of its angles.
     pub error: f64,
-    /// The prices it stands for, and what it was made from.
-    pub prices: Prices,
-    pub recipe: Recipe,
+    pub made: Arc<Made>,
 }
 
 /// Shares of its bits between which every window is to be.

@@ -13,7 +13,7 @@ use std::sync::Arc;
 
 use super::super::error::EncodeError;
 use super::super::state::step;
-use super::attempt::{Attempt, Made, PRICES, Prices, Recipe};
+use super::attempt::{Attempt, Made, PRICES, Prices, changed};
 use super::choice::{Variant, choose};
 use super::clip::Clip;
 use super::live::write_live;
@@ -34,8 +34,10 @@ const MEAN: [f64; 2] = [0.99, 0.996];
 /// The share of its bits that a clip, or a window of it, must use where it can.
 const USED: f64 = 0.985;
 /// Times prices are made anew at most, and part of the way to the next ones that is gone after the first time.
-const ROUNDS: usize = 10;
-const PART: f64 = 0.6;
+const ROUNDS: usize = 8;
+const PART: f64 = 0.8;
+/// Rounds after which prices change no more where all windows are held.
+const WHOLE: usize = 2;
 /// What the logarithms of the prices then differ by, at the start and at the end of each section, between the plans that are
 /// chosen from.
 const MENUS: [[[f64; 2]; 6]; 4] = [
@@ -44,6 +46,7 @@ const MENUS: [[[f64; 2]; 6]; 4] = [
     [[-0.8, 0.0], [0.8, 0.0], [0.0, -0.8], [0.0, 0.8], [-0.1, -0.1], [0.1, 0.1]],
     [[-0.4, 0.2], [0.4, -0.2], [0.2, -0.4], [-0.2, 0.4], [-0.15, -0.15], [0.15, 0.15]],
 ];
+const FINE: [[[f64; 2]; 4]; 1] = [[[-0.3, -0.3], [0.3, 0.3], [-0.3, 0.3], [0.3, -0.3]]];
 /// What the share by which a window is beyond its bounds adds to the error of a stream, in parts of it.
 const TOO_MUCH: f64 = 1000.0;
 const TOO_LITTLE: f64 = 50.0;
@@ -53,8 +56,15 @@ const SWEEPS: usize = 30;
 const SLOWER: f64 = 6.0;
 /// Frames from one window that is looked at then to the next.
 const APART: usize = 5;
-/// How many bits of P planes follow a price: the power of it that they fall with.
-const ELASTICITY: f64 = 0.5;
+/// How bits of P planes follow a price: the power of it that they fall with, as long as plans have not told, and its bounds.
+const ELASTICITY: f64 = 0.45;
+const ELASTICITIES: [f64; 2] = [0.15, 0.9];
+/// Change of a section's mean price, as a logarithm, from which on its plans tell.
+const TELLS: f64 = 0.1;
+/// Rounds after which quantisers are chosen anew, and that and range arrays settled.
+const DRIFT: f64 = 0.4;
+/// Times a choice is made, with what it led to, at most.
+const CHOICES: usize = 4;
 /// Largest change of a price in one round, as a logarithm.
 const STRIDE: f64 = 1.0;
 /// Bits that a frame left out counts for.
@@ -67,16 +77,17 @@ struct Forecast<'a> {
     /// Logarithms of the prices that bits were spent at last, and of the next ones.
     before: &'a [f64],
     prices: Vec<f64>,
-    /// Bits that no price changes, and those that follow it, at the next prices.
+    /// Bits that no price changes, those that follow it, at the next prices, and the power of it that these fall with.
     fixed: Vec<f64>,
     moving: Vec<f64>,
+    elasticity: Vec<f64>,
 }
 
 impl Forecast<'_> {
     fn set(&mut self, frame: usize, price: f64) {
         let before = self.before[frame];
         let price = price.clamp(before - STRIDE, before + STRIDE).clamp(PRICES[0].ln(), PRICES[1].ln());
-        self.moving[frame] *= (ELASTICITY * (self.prices[frame] - price)).exp();
+        self.moving[frame] *= (self.elasticity[frame] * (self.prices[frame] - price)).exp();
         self.prices[frame] = price;
     }
 
@@ -89,8 +100,13 @@ impl Forecast<'_> {
         }
     }
 
-    fn sum(&self, span: Range<usize>) -> [f64; 2] {
-        [&self.fixed, &self.moving].map(|bits| bits[span.clone()].iter().sum())
+    /// Of a span: bits that no price changes, those that do, and how many more these are where a price falls by a little, over
+    /// that.
+    fn sum(&self, span: Range<usize>) -> [f64; 3] {
+        let moving = self.moving[span.clone()].iter().zip(&self.elasticity[span.clone()]);
+        let [bits, more] =
+            moving.fold([0.0; 2], |[bits, more], (moving, power)| [bits + moving, more + power * moving]);
+        [self.fixed[span].iter().sum(), bits, more]
     }
 
     /// Changes the prices of all frames of each span so that it costs between the bits given with it, if it does
@@ -98,18 +114,19 @@ impl Forecast<'_> {
     fn hold<'s>(&mut self, spans: impl Iterator<Item = (&'s Range<usize>, [f64; 2])>, step: f64) -> bool {
         let mut held = true;
         let mut at = 0..0;
-        let mut sum = [0.0; 2];
+        let mut sum = [0.0; 3];
         for (span, [least, most]) in spans {
             let (come, gone) = (self.sum(at.end..span.end), self.sum(at.start..span.start));
-            sum = [0, 1].map(|part| sum[part] + come[part] - gone[part]);
+            sum = [0, 1, 2].map(|part| sum[part] + come[part] - gone[part]);
             at = span.clone();
-            let [fixed, moving] = sum;
+            let [fixed, moving, more] = sum;
             let wanted = (fixed + moving).clamp(least, most);
             if wanted == fixed + moving {
                 continue;
             }
             held = false;
-            let change = (moving.max(1.0) / (wanted - fixed).max(0.02 * wanted)).ln() / ELASTICITY * step;
+            let power = (more / moving).clamp(ELASTICITIES[0], ELASTICITIES[1]);
+            let change = (moving.max(1.0) / (wanted - fixed).max(0.02 * wanted)).ln() / power * step;
             for frame in span.clone() {
                 self.set(frame, self.prices[frame] + change);
             }
@@ -223,76 +240,169 @@ impl Planner<'_> {
         let prices = windows.resting.iter().map(|&rests| if rests { floor } else { price }).collect();
         let mut last = self.first_attempt(windows, self.by_section(prices))?;
         let mut best = last.clone();
+        let mut menu: Vec<Vec<Variant>> = Vec::new();
+        menu.resize_with(self.sections.len(), Vec::new);
+        self.keep(&mut menu, &last, None);
+        let mut responses = vec![Response::default(); self.sections.len()];
+        let mut settled: Option<f64> = None;
+        let mut since = 0;
         for round in 0..ROUNDS {
-            if best.excess == 0.0 && best.used > USED {
+            if best.excess == 0.0 && best.used > USED || settled.is_some() && since == 3 {
                 break;
             }
+            let mean = last.frame_prices().sum::<f64>() / self.clip.len() as f64;
+            since += 1;
+            if round > 0 && round <= 3 && settled.is_none_or(|settled| (settled - mean).abs() > DRIFT) {
+                settled = Some(mean);
+                since = 0;
+                self.runs = None;
+                last = self.first_attempt(windows, last.prices)?;
+                eprintln!("settled excess {:.4} used {:.4} error {:.0}", last.excess, last.used, last.error);
+                self.runs = Some(Arc::new(self.together(&last.sections).runs(self.clip, self.options)));
+                menu.iter_mut().for_each(Vec::clear);
+                responses.iter_mut().for_each(|response| response.last = None);
+                self.keep(&mut menu, &last, None);
+                best = last.clone();
+            }
+            self.note(&mut responses, &last);
             let part = if round == 0 { 1.0 } else { PART };
             let before: Vec<f64> = last.frame_prices().collect();
-            let next = windows.next(self.forecast(&before, &last.bits), true);
-            let prices = before.iter().zip(next).map(|(price, next)| price + part * (next - price));
-            last = self.attempt(windows, self.by_section(prices.collect()), &last)?;
+            let next = windows.next(self.forecast(&before, &last.bits, &responses), settled.is_none() || since < WHOLE);
+            let prices: Vec<f64> =
+                before.iter().zip(next).map(|(price, next)| price + part * (next - price)).collect();
+            let attempt = self.attempt(windows, self.by_section(prices), &last)?;
+            self.keep(&mut menu, &attempt, Some(&last));
+            last = attempt;
+            eprintln!("round {round} excess {:.4} used {:.4} error {:.0}", last.excess, last.used, last.error);
             if last.beats(&best) {
                 best = last.clone();
             }
         }
         drop(last);
-        let mut menu: Vec<Vec<Variant>> = self.variants(&best).map(|variant| vec![variant]).collect();
+        for (plans, made) in menu.iter_mut().zip(&best.sections) {
+            let first = plans.iter().position(|plan| Arc::ptr_eq(&plan.made, made)).unwrap_or(0);
+            plans.swap(0, first);
+        }
+        self.choose(windows, &mut best, &mut menu)?;
+        eprintln!("choice excess {:.4} used {:.4} error {:.0}", best.excess, best.used, best.error);
         for changes in MENUS {
             if best.excess > 0.0 {
-                self.choose(windows, &mut best, &mut menu, &changes)?;
+                let near = self.unheld(windows, &best);
+                self.vary(windows, &best, &mut menu, &changes, &near)?;
+                self.choose(windows, &mut best, &mut menu)?;
+                eprintln!("menu excess {:.4} used {:.4} error {:.0}", best.excess, best.used, best.error);
             }
+        }
+        for changes in FINE {
+            let all = vec![true; self.sections.len()];
+            self.vary(windows, &best, &mut menu, &changes, &all)?;
+            self.choose(windows, &mut best, &mut menu)?;
+            eprintln!("fine excess {:.4} used {:.4} error {:.0}", best.excess, best.used, best.error);
         }
         let mut plans = self.together(&best.sections);
         plans.lambda = (best.frame_prices().sum::<f64>() / self.clip.len() as f64).exp();
         Ok(plans)
     }
 
-    /// Adds plans at prices that differ by `changes` from those of `best` to the `menu` of each section, and the best
-    /// choice among all of them: in the first place, and as `best`, if it is better than that.
+    /// Takes in how the bits of P planes of each section follow its price.
+    fn note(&self, responses: &mut [Response], attempt: &Attempt) {
+        for (index, frames) in self.frames_of_sections().enumerate() {
+            let made = &attempt.sections[index];
+            let intra = self.sections[index].clone().map(|index| self.clip.period(index).start);
+            let bits: u64 = attempt.bits[frames].iter().sum();
+            let intra: u64 = intra.map(|frame| attempt.bits[frame]).sum();
+            responses[index].note(made.mean_price(), (bits - intra) as f64);
+        }
+    }
+
+    /// Adds the plans of an attempt to the menu of each section, if they are others than those of the one before.
+    fn keep(&self, menu: &mut [Vec<Variant>], attempt: &Attempt, before: Option<&Attempt>) {
+        for (index, variant) in self.variants(attempt).enumerate() {
+            if !before.is_some_and(|before| Arc::ptr_eq(&variant.made, &before.sections[index])) {
+                menu[index].push(variant);
+            }
+        }
+    }
+
+    /// Whether each section is in a window that is not held.
+    fn unheld(&self, windows: &Windows, attempt: &Attempt) -> Vec<bool> {
+        let mut near = vec![false; self.clip.len()];
+        windows.broken(&attempt.bits).for_each(|span| near[span].fill(true));
+        self.frames_of_sections().map(|frames| near[frames].iter().any(|&near| near)).collect()
+    }
+
+    /// Adds plans at prices that differ by `changes` from those of `best` to the menus of sections, where they are `near`.
+    fn vary(
+        &mut self,
+        windows: &Windows,
+        best: &Attempt,
+        menu: &mut [Vec<Variant>],
+        changes: &[[f64; 2]],
+        near: &[bool],
+    ) -> Result<(), EncodeError> {
+        for &change in changes {
+            let prices = best.prices.iter().zip(near);
+            let prices = prices.map(|(base, near)| if *near { changed(base, change) } else { base.clone() });
+            let attempt = self.attempt(windows, prices.collect(), best)?;
+            self.keep(menu, &attempt, Some(best));
+        }
+        Ok(())
+    }
+
+    /// Makes the best choice among the menu of each section `best` if it is better than that, and puts it in the first place.
     fn choose(
         &mut self,
         windows: &Windows,
         best: &mut Attempt,
         menu: &mut [Vec<Variant>],
-        changes: &[[f64; 2]],
     ) -> Result<(), EncodeError> {
-        let bases: Vec<Prices> = best.prices.iter().map(|prices| prices.iter().collect()).collect();
-        for &change in changes {
-            let prices = bases.iter().map(|base| base.changed(change)).collect();
-            let attempt = self.attempt(windows, prices, best)?;
-            menu.iter_mut().zip(self.variants(&attempt)).for_each(|(plans, variant)| plans.push(variant));
-        }
         let frames: Vec<Range<usize>> = self.frames_of_sections().collect();
-        let chosen = choose(windows, &frames, menu);
-        let chosen: Vec<&Variant> = menu.iter().zip(chosen).map(|(plans, plan)| &plans[plan]).collect();
-        let prices = chosen.iter().map(|variant| variant.prices.clone()).collect();
-        let sections = self.remake(&chosen, best)?;
-        let found = self.account(windows, prices, sections)?;
-        if found.beats(best) {
-            menu.iter_mut().zip(self.variants(&found)).for_each(|(plans, variant)| plans.insert(0, variant));
-            *best = found;
+        let mut before = Vec::new();
+        for _ in 0..CHOICES {
+            let chosen = choose(windows, &frames, menu);
+            if chosen == before || chosen.iter().all(|&plan| plan == 0) {
+                break;
+            }
+            let plans = || menu.iter().zip(&chosen).map(|(plans, &plan)| &plans[plan]);
+            let prices = plans().map(|variant| variant.made.prices.clone()).collect();
+            let sections = plans().map(|variant| Arc::clone(&variant.made)).collect();
+            let predicted: Vec<u64> = plans().flat_map(|v| v.bits.iter().map(|&b| u64::from(b))).collect();
+            let found = self.account(windows, prices, sections)?;
+            {
+                let mut pd = 0i64; let mut id = 0i64; let mut worst = (0i64, 0usize, 0i64);
+                for (k, section) in self.sections.iter().enumerate() {
+                    let (mut a, mut b) = (0i64, 0i64);
+                    for index in section.clone() { for (o, f) in self.clip.period(index).enumerate() {
+                        let d = found.bits[f] as i64 - predicted[f] as i64;
+                        if o == 0 { a += d } else { b += d }
+                    } }
+                    pd += b.abs(); id += a.abs();
+                    if a.abs() + b.abs() > worst.0 { worst = (a.abs() + b.abs(), k, a) }
+                }
+                eprintln!("  predicted {:.4} found {:.4} intra off {id} pred off {pd} worst {worst:?}", windows.excess(&predicted)[0], found.excess);
+            }
+            // Beside these neighbours I planes may send other arrays.
+            for (index, frames) in frames.iter().enumerate() {
+                menu[index][chosen[index]].bits = found.bits_of(frames.clone());
+            }
+            before = chosen;
+            if found.beats(best) {
+                menu.iter_mut().zip(&before).for_each(|(plans, &plan)| plans.swap(0, plan));
+                *best = found;
+                before.fill(0);
+            }
         }
         Ok(())
     }
 
-    /// The plans that these were, of which those of `best` are at hand.
-    fn remake(&mut self, chosen: &[&Variant], best: &Attempt) -> Result<Vec<Arc<Made>>, EncodeError> {
-        chosen.iter().enumerate().for_each(|(index, variant)| self.weigh(index, &variant.recipe.prices));
-        self.each(self.sections.len(), |search, index| {
-            let recipe = &chosen[index].recipe;
-            if best.sections[index].recipe.is(recipe) {
-                return Ok(Arc::clone(&best.sections[index]));
-            }
-            let plans =
-                self.cheapest(search, self.sections[index].clone(), 1.0, recipe.quant..=recipe.quant)?;
-            Ok(Arc::new(Made { plans, recipe: recipe.clone() }))
-        })
-    }
-
     /// What is kept of the plans of each section.
     fn variants<'v>(&'v self, attempt: &'v Attempt) -> impl Iterator<Item = Variant> + 'v {
-        self.frames_of_sections().enumerate().map(|(index, frames)| attempt.variant(index, frames))
+        let variant = |(index, frames)| Variant {
+            bits: attempt.bits_of(frames),
+            error: attempt.errors[index],
+            made: Arc::clone(&attempt.sections[index]),
+        };
+        self.frames_of_sections().enumerate().map(variant)
     }
 
     fn frames_of_sections(&self) -> impl Iterator<Item = Range<usize>> + '_ {
@@ -331,8 +441,7 @@ impl Planner<'_> {
         let chosen = smooth(&menu, self.options);
         let made = menu.into_iter().zip(chosen).zip(&prices).filter_map(|((mut plans, chosen), prices)| {
             let plans = plans.swap_remove(chosen);
-            let recipe = Recipe { prices: prices.clone(), quant: plans.first()?.quant };
-            Some(Arc::new(Made { plans, recipe }))
+            Some(Arc::new(Made { quant: plans.first()?.quant, plans, prices: prices.clone() }))
         });
         let made = made.collect();
         self.account(windows, prices, made)
@@ -371,9 +480,9 @@ impl Planner<'_> {
     }
 
     fn together(&mut self, sections: &[Arc<Made>]) -> Plans {
-        sections.iter().enumerate().for_each(|(index, made)| self.weigh(index, &made.recipe.prices));
+        sections.iter().enumerate().for_each(|(index, made)| self.weigh(index, &made.prices));
         let periods = sections.iter().flat_map(|made| made.plans.iter().cloned()).collect();
-        let mut plans = Plans { periods, lambda: 1.0, skip: true, filler: Vec::new() };
+        let mut plans = Plans { periods, lambda: 1.0, skip: true, filler: Vec::new(), runs: self.runs.clone() };
         self.drop_useless(&mut plans);
         plans
     }
@@ -387,7 +496,7 @@ impl Planner<'_> {
     }
 
     /// I planes cost what they cost.
-    fn forecast<'p>(&self, prices: &'p [f64], bits: &[u64]) -> Forecast<'p> {
+    fn forecast<'p>(&self, prices: &'p [f64], bits: &[u64], responses: &[Response]) -> Forecast<'p> {
         let mut moving: Vec<f64> = bits.iter().map(|&bits| bits as f64).collect();
         let mut fixed = vec![0.0; moving.len()];
         for index in 0..self.clip.periods() {
@@ -396,7 +505,9 @@ impl Planner<'_> {
         }
         // What is left out may be sent at another price.
         moving.iter_mut().for_each(|bits| *bits = bits.max(LEFT_OUT));
-        Forecast { before: prices, prices: prices.to_vec(), fixed, moving }
+        let powers = self.frames_of_sections().zip(responses);
+        let elasticity = powers.flat_map(|(frames, response)| frames.map(|_| response.elasticity)).collect();
+        Forecast { before: prices, prices: prices.to_vec(), fixed, moving, elasticity }
     }
 
     /// The plans of a section at these prices: the ones before, if they have not changed.
@@ -412,14 +523,16 @@ impl Planner<'_> {
         }
         let near = self.quants_near(prices);
         // Another quantiser is a leap in what the section costs, so it changes no further than it must.
-        let quant = before.recipe.quant.clamp(*near.start(), *near.end());
+        // and once arrays are settled not at all.
+        let settled = self.runs.is_some();
+        let quant = if settled { before.quant } else { before.quant.clamp(*near.start(), *near.end()) };
         let section = self.sections[index].clone();
         let plans = match self.cheapest(search, section.clone(), 1.0, quant..=quant) {
             Err(EncodeError::OutOfRange { .. }) => self.cheapest(search, section, 1.0, QUANTS)?,
             plans => plans?,
         };
         let quant = plans.first().map_or(quant, |plan| plan.quant);
-        Ok(Arc::new(Made { plans, recipe: Recipe { prices: prices.clone(), quant } }))
+        Ok(Arc::new(Made { plans, prices: prices.clone(), quant }))
     }
 
     /// The quantiser indices that go with prices.
@@ -427,6 +540,36 @@ impl Planner<'_> {
         let mean = (prices.iter().sum::<f64>() / prices.iter().count().max(1) as f64).exp();
         let fits = index_of_step((mean / LAMBDA_PER_STEP).sqrt(), self.options.steps);
         fits.saturating_sub(1).max(*QUANTS.start())..=(fits + 1).min(*QUANTS.end())
+    }
+}
+
+/// How bits of the P planes of a section follow its price: the last of its plans that told, and the power of the price that
+/// they fall with.
+#[derive(Clone, Copy)]
+struct Response {
+    last: Option<[f64; 2]>,
+    elasticity: f64,
+}
+
+impl Default for Response {
+    fn default() -> Self {
+        Self { last: None, elasticity: ELASTICITY }
+    }
+}
+
+impl Response {
+    /// Takes in the bits of plans at a mean price, as a logarithm.
+    fn note(&mut self, price: f64, bits: f64) {
+        let here = [price, bits.max(1.0).ln()];
+        let Some(last) = self.last else {
+            self.last = Some(here);
+            return;
+        };
+        if (here[0] - last[0]).abs() > TELLS {
+            let power = (last[1] - here[1]) / (here[0] - last[0]);
+            self.elasticity = 0.5 * (self.elasticity + power.clamp(ELASTICITIES[0], ELASTICITIES[1]));
+            self.last = Some(here);
+        }
     }
 }
 

@@ -149,6 +149,12 @@ impl Windows {
         filler
     }
 
+    /// Windows that are not within the band.
+    pub fn broken<'a>(&'a self, bits: &'a [u64]) -> impl Iterator<Item = Range<usize>> + 'a {
+        let beyond = self.all_sums(bits).enumerate().map(|(index, sum)| self.beyond(index, sum, HELD));
+        self.spans.iter().zip(beyond).filter(|(_, beyond)| *beyond > 0.0).map(|(span, _)| span.clone())
+    }
+
     /// What all windows are beyond the band, and the largest share of its bits that one of them costs.
     pub fn excess(&self, bits: &[u64]) -> [f64; 2] {
         self.all_sums(bits).enumerate().fold([0.0; 2], |[excess, most], (index, sum)| {
