@@ -8,7 +8,7 @@
 //! frames in which there is less to say than the rate has room for are not missed. The live encoder's stream is taken if it
 //! is better.
 
-use std::ops::{Range, RangeInclusive};
+use std::ops::Range;
 use std::sync::Arc;
 
 use super::super::error::EncodeError;
@@ -17,13 +17,13 @@ use super::attempt::{Attempt, Made, PRICES, Prices, changed};
 use super::choice::{Variant, choose};
 use super::clip::Clip;
 use super::live::write_live;
-use super::options::{Choices, GRACE, PlanOptions};
+use super::options::{GRACE, PlanOptions};
 use super::path::{Search, Way};
 use super::plans::{PeriodPlan, Plans};
 use super::ranges::saved_bits;
 use super::report::PlanReport;
-use super::search::{Goal, Planner, cost};
-use super::steering::{FIRST_LAMBDA, QUANTS, index_of_step};
+use super::search::{Goal, Planner};
+use super::steering::{FIRST_LAMBDA, QUANTS, bend_step};
 use super::windows::Windows;
 use crate::bap::Bap;
 
@@ -33,11 +33,15 @@ const PLANNED: [f64; 2] = [0.962, 1.038];
 const MEAN: [f64; 2] = [0.99, 0.996];
 /// The share of its bits that a clip, or a window of it, must use where it can.
 const USED: f64 = 0.985;
-/// Times prices are made anew at most, and part of the way to the next ones that is gone after the first time.
-const ROUNDS: usize = 8;
-const PART: f64 = 0.8;
-/// Rounds after which prices change no more where all windows are held.
+/// Rounds in which prices are made anew before quantisers and range arrays are settled at the latest, those after that, and
+/// how many of these look at the clip as a whole.
+const SETTLING: usize = 3;
+const SINCE: usize = 4;
 const WHOLE: usize = 2;
+/// Change of the mean price, as a logarithm, after which they are settled again.
+const DRIFT: f64 = 0.4;
+/// Part of the way to the next prices that is gone after the first round.
+const PART: f64 = 0.8;
 /// What the logarithms of the prices then differ by, at the start and at the end of each section, between the plans that are
 /// chosen from.
 const MENUS: [[[f64; 2]; 6]; 4] = [
@@ -46,7 +50,11 @@ const MENUS: [[[f64; 2]; 6]; 4] = [
     [[-0.8, 0.0], [0.8, 0.0], [0.0, -0.8], [0.0, 0.8], [-0.1, -0.1], [0.1, 0.1]],
     [[-0.4, 0.2], [0.4, -0.2], [0.2, -0.4], [-0.2, 0.4], [-0.15, -0.15], [0.15, 0.15]],
 ];
-const FINE: [[[f64; 2]; 4]; 1] = [[[-0.3, -0.3], [0.3, 0.3], [-0.3, 0.3], [0.3, -0.3]]];
+/// The same for all sections in the end, so that there is less error where windows have room.
+const FINE: [[[f64; 2]; 4]; 2] = [
+    [[-0.3, -0.3], [0.3, 0.3], [-0.3, 0.3], [0.3, -0.3]],
+    [[-0.15, -0.15], [0.15, 0.15], [-0.2, 0.2], [0.2, -0.2]],
+];
 /// What the share by which a window is beyond its bounds adds to the error of a stream, in parts of it.
 const TOO_MUCH: f64 = 1000.0;
 const TOO_LITTLE: f64 = 50.0;
@@ -61,8 +69,6 @@ const ELASTICITY: f64 = 0.45;
 const ELASTICITIES: [f64; 2] = [0.15, 0.9];
 /// Change of a section's mean price, as a logarithm, from which on its plans tell.
 const TELLS: f64 = 0.1;
-/// Rounds after which quantisers are chosen anew, and that and range arrays settled.
-const DRIFT: f64 = 0.4;
 /// Times a choice is made, with what it led to, at most.
 const CHOICES: usize = 4;
 /// Largest change of a price in one round, as a logarithm.
@@ -70,7 +76,14 @@ const STRIDE: f64 = 1.0;
 /// Bits that a frame left out counts for.
 const LEFT_OUT: f64 = 1.0;
 /// λ over the squared step of a finger bend at which plans end when any step may be chosen.
-const LAMBDA_PER_STEP: f64 = 0.35;
+const LAMBDA_PER_STEP: f64 = 0.29;
+/// Share of its bits that a section costs more with another step than that, over the squared logarithm of how many times as
+/// large it is.
+const MISFIT: f64 = 1.0;
+/// Share of a window's bits that range arrays may be to count for as much as they are when quantisers are chosen, and the
+/// least and most of them that they count for: a leap in what windows cost is worse where it is larger.
+const LEAP: f64 = 0.09;
+const LEAPS: [f64; 2] = [0.15, 1.0];
 
 /// What frames will cost at other prices.
 struct Forecast<'a> {
@@ -185,15 +198,6 @@ pub(super) fn held(clip: &Clip, options: &PlanOptions, kbit_per_s: f64) -> Resul
         return Ok(Held { stream, report, plans: Some(plans) });
     }
     let mut best = planned(clip, options, &windows, kbit_per_s)?;
-    if options.choices.lasting_ranges && windows.judge(&best.report.frame_bits).missed > 0 {
-        // What each period costs is better known where its ranges serve no other.
-        let choices = Choices { lasting_ranges: false, ..options.choices };
-        if let Ok(other) = planned(clip, &PlanOptions { choices, ..*options }, &windows, kbit_per_s)
-            && better(&windows, &other.report, &best.report)
-        {
-            best = other;
-        }
-    }
     // Values that lag behind for a moment may be the only way to hold a low rate.
     if let Ok((stream, report)) = write_live(clip, options)
         && better(&windows, &report, &best.report)
@@ -240,43 +244,37 @@ impl Planner<'_> {
         let prices = windows.resting.iter().map(|&rests| if rests { floor } else { price }).collect();
         let mut last = self.first_attempt(windows, self.by_section(prices))?;
         let mut best = last.clone();
-        let mut menu: Vec<Vec<Variant>> = Vec::new();
-        menu.resize_with(self.sections.len(), Vec::new);
-        self.keep(&mut menu, &last, None);
+        let mut menu = self.menu(&last);
         let mut responses = vec![Response::default(); self.sections.len()];
+        // The mean price at which quantisers and arrays were settled, and rounds since.
         let mut settled: Option<f64> = None;
         let mut since = 0;
-        for round in 0..ROUNDS {
-            if best.excess == 0.0 && best.used > USED || settled.is_some() && since == 3 {
+        for round in 0..=SETTLING + SINCE {
+            if best.excess == 0.0 && best.used > USED || since == SINCE {
                 break;
             }
             let mean = last.frame_prices().sum::<f64>() / self.clip.len() as f64;
-            since += 1;
-            if round > 0 && round <= 3 && settled.is_none_or(|settled| (settled - mean).abs() > DRIFT) {
-                settled = Some(mean);
-                since = 0;
-                self.runs = None;
-                last = self.first_attempt(windows, last.prices)?;
-                eprintln!("settled excess {:.4} used {:.4} error {:.0}", last.excess, last.used, last.error);
-                self.runs = Some(Arc::new(self.together(&last.sections).runs(self.clip, self.options)));
-                menu.iter_mut().for_each(Vec::clear);
-                responses.iter_mut().for_each(|response| response.last = None);
-                self.keep(&mut menu, &last, None);
+            let drifted = settled.is_none_or(|settled| (settled - mean).abs() > DRIFT);
+            if (1..=SETTLING).contains(&round) && drifted {
+                (settled, since) = (Some(mean), 0);
+                last = self.settle(windows, last.prices)?;
                 best = last.clone();
+                menu = self.menu(&last);
+                responses.iter_mut().for_each(|response| response.last = None);
             }
             self.note(&mut responses, &last);
             let part = if round == 0 { 1.0 } else { PART };
             let before: Vec<f64> = last.frame_prices().collect();
-            let next = windows.next(self.forecast(&before, &last.bits, &responses), settled.is_none() || since < WHOLE);
-            let prices: Vec<f64> =
-                before.iter().zip(next).map(|(price, next)| price + part * (next - price)).collect();
-            let attempt = self.attempt(windows, self.by_section(prices), &last)?;
-            self.keep(&mut menu, &attempt, Some(&last));
+            let forecast = self.forecast(&before, &last.bits, &responses);
+            let next = windows.next(forecast, since < WHOLE);
+            let prices = before.iter().zip(next).map(|(price, next)| price + part * (next - price));
+            let attempt = self.attempt(windows, self.by_section(prices.collect()), &last)?;
+            self.add(&mut menu, &attempt, &last);
             last = attempt;
-            eprintln!("round {round} excess {:.4} used {:.4} error {:.0}", last.excess, last.used, last.error);
             if last.beats(&best) {
                 best = last.clone();
             }
+            since += usize::from(settled.is_some());
         }
         drop(last);
         for (plans, made) in menu.iter_mut().zip(&best.sections) {
@@ -284,24 +282,30 @@ impl Planner<'_> {
             plans.swap(0, first);
         }
         self.choose(windows, &mut best, &mut menu)?;
-        eprintln!("choice excess {:.4} used {:.4} error {:.0}", best.excess, best.used, best.error);
         for changes in MENUS {
             if best.excess > 0.0 {
                 let near = self.unheld(windows, &best);
-                self.vary(windows, &best, &mut menu, &changes, &near)?;
+                self.vary(windows, &best, &mut menu, &near, &changes)?;
                 self.choose(windows, &mut best, &mut menu)?;
-                eprintln!("menu excess {:.4} used {:.4} error {:.0}", best.excess, best.used, best.error);
             }
         }
         for changes in FINE {
             let all = vec![true; self.sections.len()];
-            self.vary(windows, &best, &mut menu, &changes, &all)?;
+            self.vary(windows, &best, &mut menu, &all, &changes)?;
             self.choose(windows, &mut best, &mut menu)?;
-            eprintln!("fine excess {:.4} used {:.4} error {:.0}", best.excess, best.used, best.error);
         }
         let mut plans = self.together(&best.sections);
         plans.lambda = (best.frame_prices().sum::<f64>() / self.clip.len() as f64).exp();
         Ok(plans)
+    }
+
+    /// The plans at these prices with quantisers that go with them. From there on sections keep these, and I planes send the
+    /// range arrays that they send now, so that what they cost is known.
+    fn settle(&mut self, windows: &Windows, prices: Vec<Prices>) -> Result<Attempt, EncodeError> {
+        self.runs = None;
+        let settled = self.first_attempt(windows, prices)?;
+        self.runs = Some(Arc::new(self.together(&settled.sections).runs(self.clip, self.options)));
+        Ok(settled)
     }
 
     /// Takes in how the bits of P planes of each section follow its price.
@@ -315,10 +319,15 @@ impl Planner<'_> {
         }
     }
 
+    /// The plans of an attempt, to choose from.
+    fn menu(&self, attempt: &Attempt) -> Vec<Vec<Variant>> {
+        self.variants(attempt).map(|variant| vec![variant]).collect()
+    }
+
     /// Adds the plans of an attempt to the menu of each section, if they are others than those of the one before.
-    fn keep(&self, menu: &mut [Vec<Variant>], attempt: &Attempt, before: Option<&Attempt>) {
+    fn add(&self, menu: &mut [Vec<Variant>], attempt: &Attempt, before: &Attempt) {
         for (index, variant) in self.variants(attempt).enumerate() {
-            if !before.is_some_and(|before| Arc::ptr_eq(&variant.made, &before.sections[index])) {
+            if !Arc::ptr_eq(&variant.made, &before.sections[index]) {
                 menu[index].push(variant);
             }
         }
@@ -337,14 +346,14 @@ impl Planner<'_> {
         windows: &Windows,
         best: &Attempt,
         menu: &mut [Vec<Variant>],
-        changes: &[[f64; 2]],
         near: &[bool],
+        changes: &[[f64; 2]],
     ) -> Result<(), EncodeError> {
         for &change in changes {
             let prices = best.prices.iter().zip(near);
             let prices = prices.map(|(base, near)| if *near { changed(base, change) } else { base.clone() });
             let attempt = self.attempt(windows, prices.collect(), best)?;
-            self.keep(menu, &attempt, Some(best));
+            self.add(menu, &attempt, best);
         }
         Ok(())
     }
@@ -366,21 +375,7 @@ impl Planner<'_> {
             let plans = || menu.iter().zip(&chosen).map(|(plans, &plan)| &plans[plan]);
             let prices = plans().map(|variant| variant.made.prices.clone()).collect();
             let sections = plans().map(|variant| Arc::clone(&variant.made)).collect();
-            let predicted: Vec<u64> = plans().flat_map(|v| v.bits.iter().map(|&b| u64::from(b))).collect();
             let found = self.account(windows, prices, sections)?;
-            {
-                let mut pd = 0i64; let mut id = 0i64; let mut worst = (0i64, 0usize, 0i64);
-                for (k, section) in self.sections.iter().enumerate() {
-                    let (mut a, mut b) = (0i64, 0i64);
-                    for index in section.clone() { for (o, f) in self.clip.period(index).enumerate() {
-                        let d = found.bits[f] as i64 - predicted[f] as i64;
-                        if o == 0 { a += d } else { b += d }
-                    } }
-                    pd += b.abs(); id += a.abs();
-                    if a.abs() + b.abs() > worst.0 { worst = (a.abs() + b.abs(), k, a) }
-                }
-                eprintln!("  predicted {:.4} found {:.4} intra off {id} pred off {pd} worst {worst:?}", windows.excess(&predicted)[0], found.excess);
-            }
             // Beside these neighbours I planes may send other arrays.
             for (index, frames) in frames.iter().enumerate() {
                 menu[index][chosen[index]].bits = found.bits_of(frames.clone());
@@ -427,23 +422,13 @@ impl Planner<'_> {
         plan.ways.iter().filter(exact).map(of_one).sum()
     }
 
-    /// The plans at these prices, and what they cost, beginning with no others: the quantiser of each section is one that fits
-    /// its prices, and that of the one before where ranges that serve both are worth more.
+    /// The plans at these prices, and what they cost, beginning with no others.
     fn first_attempt(&mut self, windows: &Windows, prices: Vec<Prices>) -> Result<Attempt, EncodeError> {
         prices.iter().enumerate().for_each(|(index, prices)| self.weigh(index, prices));
-        let menu = self.each(self.sections.len(), |search, index| {
-            let section = self.sections[index].clone();
-            let near = self.quants_near(&prices[index]);
-            let plans = near.filter_map(|quant| self.with_quant(search, section.clone(), quant, 1.0));
-            let plans: Vec<_> = plans.collect();
-            if plans.is_empty() { Ok(vec![self.cheapest(search, section, 1.0, QUANTS)?]) } else { Ok(plans) }
+        let quants = self.quants(windows, &prices);
+        let made = self.each(self.sections.len(), |search, index| {
+            self.make(search, index, &prices[index], quants[index])
         })?;
-        let chosen = smooth(&menu, self.options);
-        let made = menu.into_iter().zip(chosen).zip(&prices).filter_map(|((mut plans, chosen), prices)| {
-            let plans = plans.swap_remove(chosen);
-            Some(Arc::new(Made { quant: plans.first()?.quant, plans, prices: prices.clone() }))
-        });
-        let made = made.collect();
         self.account(windows, prices, made)
     }
 
@@ -482,7 +467,8 @@ impl Planner<'_> {
     fn together(&mut self, sections: &[Arc<Made>]) -> Plans {
         sections.iter().enumerate().for_each(|(index, made)| self.weigh(index, &made.prices));
         let periods = sections.iter().flat_map(|made| made.plans.iter().cloned()).collect();
-        let mut plans = Plans { periods, lambda: 1.0, skip: true, filler: Vec::new(), runs: self.runs.clone() };
+        let mut plans =
+            Plans { periods, lambda: 1.0, skip: true, filler: Vec::new(), runs: self.runs.clone() };
         self.drop_useless(&mut plans);
         plans
     }
@@ -510,7 +496,8 @@ impl Planner<'_> {
         Forecast { before: prices, prices: prices.to_vec(), fixed, moving, elasticity }
     }
 
-    /// The plans of a section at these prices: the ones before, if they have not changed.
+    /// The plans of a section at these prices: the ones before, if they have not changed. Another quantiser is a leap in what
+    /// it costs, so it keeps its own.
     fn follow(
         &self,
         search: &mut Search,
@@ -518,14 +505,21 @@ impl Planner<'_> {
         prices: &Prices,
         before: &Arc<Made>,
     ) -> Result<Arc<Made>, EncodeError> {
-        if !before.is_stale(prices) {
-            return Ok(Arc::clone(before));
+        if before.is_stale(prices) {
+            self.make(search, index, prices, before.quant)
+        } else {
+            Ok(Arc::clone(before))
         }
-        let near = self.quants_near(prices);
-        // Another quantiser is a leap in what the section costs, so it changes no further than it must.
-        // and once arrays are settled not at all.
-        let settled = self.runs.is_some();
-        let quant = if settled { before.quant } else { before.quant.clamp(*near.start(), *near.end()) };
+    }
+
+    /// The plans of a section at these prices with this quantiser, or with the best one if it is out of reach of that.
+    fn make(
+        &self,
+        search: &mut Search,
+        index: usize,
+        prices: &Prices,
+        quant: u8,
+    ) -> Result<Arc<Made>, EncodeError> {
         let section = self.sections[index].clone();
         let plans = match self.cheapest(search, section.clone(), 1.0, quant..=quant) {
             Err(EncodeError::OutOfRange { .. }) => self.cheapest(search, section, 1.0, QUANTS)?,
@@ -535,12 +529,45 @@ impl Planner<'_> {
         Ok(Arc::new(Made { plans, prices: prices.clone(), quant }))
     }
 
-    /// The quantiser indices that go with prices.
-    fn quants_near(&self, prices: &Prices) -> RangeInclusive<u8> {
-        let mean = (prices.iter().sum::<f64>() / prices.iter().count().max(1) as f64).exp();
-        let fits = index_of_step((mean / LAMBDA_PER_STEP).sqrt(), self.options.steps);
-        fits.saturating_sub(1).max(*QUANTS.start())..=(fits + 1).min(*QUANTS.end())
+    /// The quantiser of each section: one that goes with its prices, or that of the one before where that is not far off, as
+    /// another needs all range arrays, which is a leap in what a window costs.
+    fn quants(&self, windows: &Windows, prices: &[Prices]) -> Vec<u8> {
+        let steps: Vec<f64> = QUANTS.map(|quant| bend_step(quant, self.options.steps).ln()).collect();
+        let arrays = saved_bits(self.options, self.options.sendable(&self.clip.mask(0)).len());
+        let change = arrays * (arrays / (LEAP * windows.bits)).powi(2).clamp(LEAPS[0], LEAPS[1]);
+        let frame = windows.total / self.clip.len() as f64;
+        // Least bits up to each section with each quantiser, and where the one before it has another, which.
+        let mut least = vec![0.0; steps.len()];
+        let mut others: Vec<Vec<usize>> = Vec::with_capacity(prices.len());
+        for prices in prices {
+            let (best, bits) = smallest(&least);
+            let from = least
+                .iter()
+                .enumerate()
+                .map(|(quant, &stay)| if stay > bits + change { best } else { quant });
+            others.push(from.collect());
+            let mean = prices.iter().sum::<f64>() / prices.len().max(1) as f64;
+            let wanted = 0.5 * (mean - LAMBDA_PER_STEP.ln());
+            for (least, step) in least.iter_mut().zip(&steps) {
+                *least =
+                    least.min(bits + change) + MISFIT * frame * prices.len() as f64 * (step - wanted).powi(2);
+            }
+        }
+        let (mut quant, _) = smallest(&least);
+        let mut quants: Vec<u8> = Vec::with_capacity(prices.len());
+        for others in others.iter().rev() {
+            quants.push(QUANTS.start() + quant as u8);
+            quant = others[quant];
+        }
+        quants.reverse();
+        quants
     }
+}
+
+/// The number of the smallest of some values, and that.
+fn smallest(values: &[f64]) -> (usize, f64) {
+    let least = values.iter().copied().enumerate().min_by(|a, b| a.1.total_cmp(&b.1));
+    least.unwrap_or((0, f64::INFINITY))
 }
 
 /// How bits of the P planes of a section follow its price: the last of its plans that told, and the power of the price that
@@ -571,39 +598,4 @@ impl Response {
             self.last = Some(here);
         }
     }
-}
-
-/// Which of its plans each section follows so that they cost least, with the ranges that sections of other quantisers than
-/// the one before must send.
-fn smooth(menu: &[Vec<Vec<PeriodPlan>>], options: &PlanOptions) -> Vec<usize> {
-    // Least cost of each plan of a section, and the plan before it.
-    let mut ways: Vec<Vec<(f64, usize)>> = Vec::with_capacity(menu.len());
-    let quant = |plans: &[PeriodPlan]| plans.first().map(|plan| (plan.quant, plan.ways.len()));
-    for (index, section) in menu.iter().enumerate() {
-        let reached = section.iter().map(|plans| {
-            let before = index.checked_sub(1).map_or(&[][..], |before| &menu[before]);
-            let known = ways.last().map_or(&[][..], Vec::as_slice);
-            let from = before.iter().zip(known).enumerate().map(|(number, (before, (least, _)))| {
-                let saved = if quant(before) == quant(plans) {
-                    saved_bits(options, plans[0].ways.len())
-                } else {
-                    0.0
-                };
-                (least - saved, number)
-            });
-            let (least, number) = from.min_by(|a, b| a.0.total_cmp(&b.0)).unwrap_or((0.0, 0));
-            (least + cost(plans), number)
-        });
-        let reached = reached.collect();
-        ways.push(reached);
-    }
-    let last = ways.last().and_then(|ways| (0..ways.len()).min_by(|&a, &b| ways[a].0.total_cmp(&ways[b].0)));
-    let mut chosen = last.unwrap_or(0);
-    let mut all = Vec::with_capacity(ways.len());
-    for ways in ways.iter().rev() {
-        all.push(chosen);
-        chosen = ways[chosen].1;
-    }
-    all.reverse();
-    all
 }

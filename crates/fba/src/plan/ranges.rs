@@ -71,7 +71,9 @@ pub(super) fn sent_arrays(
         None => run_starts(&needs, end, &factorials),
         Some(known) => (0..needs.len())
             .filter(|&index| {
-                known[end].binary_search(&index).is_ok() || index == 0 || !needs[index].follows(&needs[index - 1])
+                known[end].binary_search(&index).is_ok()
+                    || index == 0
+                    || !needs[index].follows(&needs[index - 1])
             })
             .collect(),
     });

@@ -12,8 +12,8 @@ use super::clip::Clip;
 use super::options::{Levels, PlanOptions, Target, refused};
 use super::path::{self, Company, Factorials, Path, Search, Track, Way, codes_for, track};
 use super::plans::{PeriodPlan, Plans};
-use super::report::PlanReport;
 use super::ranges::Runs;
+use super::report::PlanReport;
 use super::share::{self, workers};
 use crate::bap::{BAP_COUNT, Bap, BapMask, Unit, derive};
 

@@ -127,6 +127,17 @@ impl Windows {
         TOO_MUCH * (share - held[1]).max(0.0) + (held[0] * self.lively[span] - share).max(0.0)
     }
 
+    /// The same for all of some windows, of so many bits and others.
+    pub fn all_beyond(&self, windows: Range<usize>, bits: &[f64], more: &[f64], held: [f64; 2]) -> f64 {
+        let (scale, lively) = (1.0 / self.bits, &self.lively[windows]);
+        let beyond = bits.iter().zip(more).zip(lively).map(|((bits, more), lively)| {
+            let share = (bits + more) * scale;
+            let [over, under] = [share - held[1], held[0] * lively - share];
+            TOO_MUCH * if over > 0.0 { over } else { 0.0 } + if under > 0.0 { under } else { 0.0 }
+        });
+        beyond.sum()
+    }
+
     /// Planes that say nothing to follow that of each frame, so that no window costs too little for what moves in
     /// it, as far as none costs too much then. They follow frames that are sent, as late ones as can be: windows to
     /// come need them, too.
