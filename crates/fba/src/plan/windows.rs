@@ -11,6 +11,8 @@ use super::steering::QUANTS;
 /// Shares of its bits between which every window is promised to cost, and between which it is kept.
 const PROMISED: [f64; 2] = [0.95, 1.05];
 const HELD: [f64; 2] = [0.951, 1.049];
+/// What the first seconds, which are in no window, may cost more than the rate, as a share of it: their I plane sends all.
+const OPENING: f64 = 0.25;
 /// Bits of a plane that says nothing.
 const EMPTY_PLANE: f64 = 3.0;
 /// What a share too much counts for in shares too little.
@@ -27,7 +29,7 @@ pub(super) struct Windows {
     pub lively: Vec<f64>,
     /// Frames in which there is not.
     pub resting: Vec<bool>,
-    /// Bits of a window, and of the whole clip.
+    /// Bits of a window, and of the whole clip with what it begins with.
     pub bits: f64,
     pub total: f64,
 }
@@ -54,7 +56,7 @@ impl Windows {
             lively: vec![1.0; spans.len()],
             resting: vec![false; ticks.len()],
             bits: per_tick * window as f64,
-            total: per_tick * end as f64,
+            total: per_tick * (end as f64 + OPENING * first as f64),
             spans,
         }
     }
