@@ -2,8 +2,9 @@
 //!
 //! What a section costs at a price is only known when it has been planned. With several plans of each at hand, from some
 //! choice on, those of one section or of two neighbours are exchanged as long as that makes less of what windows are beyond
-//! their band, or less error at no more of that. Range arrays that serve several sections are counted as they were when each
-//! was planned; what a choice costs is measured anew.
+//! their band, or less error at no more of that. First windows count for little beside errors and then for ever more: a
+//! choice that holds them all at once is seldom one of little error. Range arrays that serve several sections are counted as
+//! they were when each was planned; what a choice costs is measured anew.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -31,8 +32,8 @@ impl Variant {
 const HELD: [f64; 2] = [0.952, 1.048];
 /// Most that the whole clip is to cost, as a share of its bits.
 const MOST: f64 = 1.02;
-/// What a window beyond its band by all of its bits counts for, in the errors of the whole clip. A clip that costs more than
-/// its rate counts as well.
+/// What a window beyond its band by all of its bits counts for, in the errors of the whole clip, one after the other. A clip
+/// that costs more than its rate counts as well.
 const WEIGHTS: [f64; 3] = [0.3, 5.0, 100.0];
 /// Times all sections are gone through at most, with each weight.
 const PASSES: usize = 40;

@@ -3,10 +3,15 @@
 //! Each frame has a price per bit. A window of ten seconds that costs too much raises the price of all its
 //! frames, one that costs too little lowers it, and the sections in which prices changed are planned anew: I periods, each
 //! with those that begin for the sake of a leap in it, which share its quantiser, so that its ranges serve them. As errors then
-//! weigh the same wherever no window asks for something else, no more is evened out than has to be. What is still beyond
-//! its band is mended by a choice among several plans of each section. Too much counts for more than too little, and
-//! frames in which there is less to say than the rate has room for are not missed. The live encoder's stream is taken if it
-//! is better.
+//! weigh the same wherever no window asks for something else, no more is evened out than has to be.
+//!
+//! Another quantiser needs all range arrays, at 1 kbit/s a tenth of what ten seconds may cost. So once prices are about right,
+//! the quantiser of each section is settled, few of them and with no change that is not worth its leap, and which I planes send
+//! which arrays. From there on the bits of a plan are the same whatever its neighbours are, how they follow a price is
+//! learnt section by section, and what is still beyond its band is mended by a choice among all plans made of each
+//! section, near such windows of more of them, in the end everywhere of some for less error. Too much counts for more than
+//! too little, and frames in which there is less to say than the rate has room for are not missed. The live encoder's stream
+//! is taken if it is better.
 
 use std::ops::Range;
 use std::sync::Arc;
