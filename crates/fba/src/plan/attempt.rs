@@ -51,7 +51,8 @@ pub(super) struct Attempt {
     pub sections: Vec<Arc<Made>>,
     /// Of each frame.
     pub bits: Vec<u64>,
-    /// What windows are beyond the band, and the most that one of them costs, or the whole clip, as a share.
+    /// What windows are beyond the band, and the clip beyond what it may cost; the most that one of them costs, or the whole
+    /// clip, as a share.
     pub excess: f64,
     pub used: f64,
     /// Squared degrees, of all sections and of each.

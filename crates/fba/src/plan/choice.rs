@@ -31,7 +31,7 @@ impl Variant {
 /// Shares of its bits between which every window is to be.
 const HELD: [f64; 2] = [0.952, 1.048];
 /// Most that the whole clip is to cost, as a share of its bits.
-const MOST: f64 = 1.02;
+pub(super) const MOST: f64 = 1.02;
 /// What a window beyond its band by all of its bits counts for, in the errors of the whole clip, one after the other. A clip
 /// that costs more than its rate counts as well.
 const WEIGHTS: [f64; 3] = [0.3, 5.0, 100.0];

@@ -19,7 +19,7 @@ use std::sync::Arc;
 use super::super::error::EncodeError;
 use super::super::state::step;
 use super::attempt::{Attempt, Made, PRICES, Prices, changed};
-use super::choice::{Variant, choose};
+use super::choice::{MOST, Variant, choose};
 use super::clip::Clip;
 use super::live::write_live;
 use super::options::{GRACE, PlanOptions};
@@ -461,7 +461,8 @@ impl Planner<'_> {
         let (_, report) = self.together(&sections).write(self.clip, self.options)?;
         let bits = report.frame_bits;
         let [excess, most] = windows.excess(&bits);
-        let used = most.max(bits.iter().sum::<u64>() as f64 / windows.total);
+        let share = bits.iter().sum::<u64>() as f64 / windows.total;
+        let (excess, used) = (excess + (share - MOST).max(0.0), most.max(share));
         let error = |(section, made): (&Range<usize>, &Arc<Made>)| {
             section.clone().zip(&made.plans).map(|(index, plan)| self.error(index, plan)).sum()
         };
