@@ -3,27 +3,32 @@
 //! Each frame has a price per bit. A window of ten seconds that costs too much raises the price of all its
 //! frames, one that costs too little lowers it, and the sections in which prices changed are planned anew: I periods, each
 //! with those that begin for the sake of a leap in it, which share its quantiser, so that its ranges serve them. As errors then
-//! weigh the same wherever no window asks for something else, no more is evened out than has to be. What is still beyond
-//! its band is mended by a choice among several plans of each section. Too much counts for more than too little, and
-//! frames in which there is less to say than the rate has room for are not missed. The live encoder's stream is taken if it
-//! is better.
+//! weigh the same wherever no window asks for something else, no more is evened out than has to be.
+//!
+//! Another quantiser needs all range arrays, at 1 kbit/s a tenth of what ten seconds may cost. So once prices are about right,
+//! the quantiser of each section is settled, few of them and with no change that is not worth its leap, and which I planes send
+//! which arrays. From there on the bits of a plan are the same whatever its neighbours are, how they follow a price is
+//! learnt section by section, and what is still beyond its band is mended by a choice among all plans made of each
+//! section, near such windows of more of them, in the end everywhere of some for less error. Too much counts for more than
+//! too little, and frames in which there is less to say than the rate has room for are not missed. The live encoder's stream
+//! is taken if it is better.
 
-use std::ops::{Range, RangeInclusive};
+use std::ops::Range;
 use std::sync::Arc;
 
 use super::super::error::EncodeError;
 use super::super::state::step;
-use super::attempt::{Attempt, Made, PRICES, Prices, Recipe};
-use super::choice::{Variant, choose};
+use super::attempt::{Attempt, Made, PRICES, Prices, changed};
+use super::choice::{MOST, Variant, choose};
 use super::clip::Clip;
 use super::live::write_live;
-use super::options::{Choices, GRACE, PlanOptions};
+use super::options::{GRACE, PlanOptions};
 use super::path::{Search, Way};
 use super::plans::{PeriodPlan, Plans};
 use super::ranges::saved_bits;
 use super::report::PlanReport;
-use super::search::{Goal, Planner, cost};
-use super::steering::{FIRST_LAMBDA, QUANTS, index_of_step};
+use super::search::{Goal, Planner};
+use super::steering::{FIRST_LAMBDA, QUANTS, bend_step};
 use super::windows::Windows;
 use crate::bap::Bap;
 
@@ -33,9 +38,15 @@ const PLANNED: [f64; 2] = [0.962, 1.038];
 const MEAN: [f64; 2] = [0.99, 0.996];
 /// The share of its bits that a clip, or a window of it, must use where it can.
 const USED: f64 = 0.985;
-/// Times prices are made anew at most, and part of the way to the next ones that is gone after the first time.
-const ROUNDS: usize = 10;
-const PART: f64 = 0.6;
+/// Rounds in which prices are made anew before quantisers and range arrays are settled at the latest, those after that, and
+/// how many of these look at the clip as a whole.
+const SETTLING: usize = 3;
+const SINCE: usize = 4;
+const WHOLE: usize = 2;
+/// Change of the mean price, as a logarithm, after which they are settled again.
+const DRIFT: f64 = 0.4;
+/// Part of the way to the next prices that is gone after the first round.
+const PART: f64 = 0.8;
 /// What the logarithms of the prices then differ by, at the start and at the end of each section, between the plans that are
 /// chosen from.
 const MENUS: [[[f64; 2]; 6]; 4] = [
@@ -43,6 +54,11 @@ const MENUS: [[[f64; 2]; 6]; 4] = [
     [[-1.0, 1.0], [1.0, -1.0], [-0.4, 0.4], [0.4, -0.4], [-0.3, -0.3], [0.3, 0.3]],
     [[-0.8, 0.0], [0.8, 0.0], [0.0, -0.8], [0.0, 0.8], [-0.1, -0.1], [0.1, 0.1]],
     [[-0.4, 0.2], [0.4, -0.2], [0.2, -0.4], [-0.2, 0.4], [-0.15, -0.15], [0.15, 0.15]],
+];
+/// The same for all sections in the end, so that there is less error where windows have room.
+const FINE: [[[f64; 2]; 4]; 2] = [
+    [[-0.3, -0.3], [0.3, 0.3], [-0.3, 0.3], [0.3, -0.3]],
+    [[-0.15, -0.15], [0.15, 0.15], [-0.2, 0.2], [0.2, -0.2]],
 ];
 /// What the share by which a window is beyond its bounds adds to the error of a stream, in parts of it.
 const TOO_MUCH: f64 = 1000.0;
@@ -53,30 +69,43 @@ const SWEEPS: usize = 30;
 const SLOWER: f64 = 6.0;
 /// Frames from one window that is looked at then to the next.
 const APART: usize = 5;
-/// How many bits of P planes follow a price: the power of it that they fall with.
-const ELASTICITY: f64 = 0.5;
+/// How bits of P planes follow a price: the power of it that they fall with, as long as plans have not told, and its bounds.
+const ELASTICITY: f64 = 0.45;
+const ELASTICITIES: [f64; 2] = [0.15, 0.9];
+/// Change of a section's mean price, as a logarithm, from which on its plans tell.
+const TELLS: f64 = 0.1;
+/// Times a choice is made, with what it led to, at most.
+const CHOICES: usize = 4;
 /// Largest change of a price in one round, as a logarithm.
 const STRIDE: f64 = 1.0;
 /// Bits that a frame left out counts for.
 const LEFT_OUT: f64 = 1.0;
 /// λ over the squared step of a finger bend at which plans end when any step may be chosen.
-const LAMBDA_PER_STEP: f64 = 0.35;
+const LAMBDA_PER_STEP: f64 = 0.29;
+/// Share of its bits that a section costs more with another step than that, over the squared logarithm of how many times as
+/// large it is.
+const MISFIT: f64 = 1.0;
+/// Share of a window's bits that range arrays may be to count for as much as they are when quantisers are chosen, and the
+/// least and most of them that they count for: a leap in what windows cost is worse where it is larger.
+const LEAP: f64 = 0.09;
+const LEAPS: [f64; 2] = [0.15, 1.0];
 
 /// What frames will cost at other prices.
 struct Forecast<'a> {
     /// Logarithms of the prices that bits were spent at last, and of the next ones.
     before: &'a [f64],
     prices: Vec<f64>,
-    /// Bits that no price changes, and those that follow it, at the next prices.
+    /// Bits that no price changes, those that follow it, at the next prices, and the power of it that these fall with.
     fixed: Vec<f64>,
     moving: Vec<f64>,
+    elasticity: Vec<f64>,
 }
 
 impl Forecast<'_> {
     fn set(&mut self, frame: usize, price: f64) {
         let before = self.before[frame];
         let price = price.clamp(before - STRIDE, before + STRIDE).clamp(PRICES[0].ln(), PRICES[1].ln());
-        self.moving[frame] *= (ELASTICITY * (self.prices[frame] - price)).exp();
+        self.moving[frame] *= (self.elasticity[frame] * (self.prices[frame] - price)).exp();
         self.prices[frame] = price;
     }
 
@@ -89,8 +118,13 @@ impl Forecast<'_> {
         }
     }
 
-    fn sum(&self, span: Range<usize>) -> [f64; 2] {
-        [&self.fixed, &self.moving].map(|bits| bits[span.clone()].iter().sum())
+    /// Of a span: bits that no price changes, those that do, and how many more these are where a price falls by a little, over
+    /// that.
+    fn sum(&self, span: Range<usize>) -> [f64; 3] {
+        let moving = self.moving[span.clone()].iter().zip(&self.elasticity[span.clone()]);
+        let [bits, more] =
+            moving.fold([0.0; 2], |[bits, more], (moving, power)| [bits + moving, more + power * moving]);
+        [self.fixed[span].iter().sum(), bits, more]
     }
 
     /// Changes the prices of all frames of each span so that it costs between the bits given with it, if it does
@@ -98,18 +132,19 @@ impl Forecast<'_> {
     fn hold<'s>(&mut self, spans: impl Iterator<Item = (&'s Range<usize>, [f64; 2])>, step: f64) -> bool {
         let mut held = true;
         let mut at = 0..0;
-        let mut sum = [0.0; 2];
+        let mut sum = [0.0; 3];
         for (span, [least, most]) in spans {
             let (come, gone) = (self.sum(at.end..span.end), self.sum(at.start..span.start));
-            sum = [0, 1].map(|part| sum[part] + come[part] - gone[part]);
+            sum = [0, 1, 2].map(|part| sum[part] + come[part] - gone[part]);
             at = span.clone();
-            let [fixed, moving] = sum;
+            let [fixed, moving, more] = sum;
             let wanted = (fixed + moving).clamp(least, most);
             if wanted == fixed + moving {
                 continue;
             }
             held = false;
-            let change = (moving.max(1.0) / (wanted - fixed).max(0.02 * wanted)).ln() / ELASTICITY * step;
+            let power = (more / moving).clamp(ELASTICITIES[0], ELASTICITIES[1]);
+            let change = (moving.max(1.0) / (wanted - fixed).max(0.02 * wanted)).ln() / power * step;
             for frame in span.clone() {
                 self.set(frame, self.prices[frame] + change);
             }
@@ -168,15 +203,6 @@ pub(super) fn held(clip: &Clip, options: &PlanOptions, kbit_per_s: f64) -> Resul
         return Ok(Held { stream, report, plans: Some(plans) });
     }
     let mut best = planned(clip, options, &windows, kbit_per_s)?;
-    if options.choices.lasting_ranges && windows.judge(&best.report.frame_bits).missed > 0 {
-        // What each period costs is better known where its ranges serve no other.
-        let choices = Choices { lasting_ranges: false, ..options.choices };
-        if let Ok(other) = planned(clip, &PlanOptions { choices, ..*options }, &windows, kbit_per_s)
-            && better(&windows, &other.report, &best.report)
-        {
-            best = other;
-        }
-    }
     // Values that lag behind for a moment may be the only way to hold a low rate.
     if let Ok((stream, report)) = write_live(clip, options)
         && better(&windows, &report, &best.report)
@@ -223,76 +249,160 @@ impl Planner<'_> {
         let prices = windows.resting.iter().map(|&rests| if rests { floor } else { price }).collect();
         let mut last = self.first_attempt(windows, self.by_section(prices))?;
         let mut best = last.clone();
-        for round in 0..ROUNDS {
-            if best.excess == 0.0 && best.used > USED {
+        let mut menu = self.menu(&last);
+        let mut responses = vec![Response::default(); self.sections.len()];
+        // The mean price at which quantisers and arrays were settled, and rounds since.
+        let mut settled: Option<f64> = None;
+        let mut since = 0;
+        for round in 0..=SETTLING + SINCE {
+            if best.excess == 0.0 && best.used > USED || since == SINCE {
                 break;
             }
+            let mean = last.frame_prices().sum::<f64>() / self.clip.len() as f64;
+            let drifted = settled.is_none_or(|settled| (settled - mean).abs() > DRIFT);
+            if (1..=SETTLING).contains(&round) && drifted {
+                (settled, since) = (Some(mean), 0);
+                last = self.settle(windows, last.prices)?;
+                best = last.clone();
+                menu = self.menu(&last);
+                responses.iter_mut().for_each(|response| response.last = None);
+            }
+            self.note(&mut responses, &last);
             let part = if round == 0 { 1.0 } else { PART };
             let before: Vec<f64> = last.frame_prices().collect();
-            let next = windows.next(self.forecast(&before, &last.bits), true);
+            let forecast = self.forecast(&before, &last.bits, &responses);
+            let next = windows.next(forecast, since < WHOLE);
             let prices = before.iter().zip(next).map(|(price, next)| price + part * (next - price));
-            last = self.attempt(windows, self.by_section(prices.collect()), &last)?;
+            let attempt = self.attempt(windows, self.by_section(prices.collect()), &last)?;
+            self.add(&mut menu, &attempt, &last);
+            last = attempt;
             if last.beats(&best) {
                 best = last.clone();
             }
+            since += usize::from(settled.is_some());
         }
         drop(last);
-        let mut menu: Vec<Vec<Variant>> = self.variants(&best).map(|variant| vec![variant]).collect();
+        for (plans, made) in menu.iter_mut().zip(&best.sections) {
+            let first = plans.iter().position(|plan| Arc::ptr_eq(&plan.made, made)).unwrap_or(0);
+            plans.swap(0, first);
+        }
+        self.choose(windows, &mut best, &mut menu)?;
         for changes in MENUS {
             if best.excess > 0.0 {
-                self.choose(windows, &mut best, &mut menu, &changes)?;
+                let near = self.unheld(windows, &best);
+                self.vary(windows, &best, &mut menu, &near, &changes)?;
+                self.choose(windows, &mut best, &mut menu)?;
             }
+        }
+        for changes in FINE {
+            let all = vec![true; self.sections.len()];
+            self.vary(windows, &best, &mut menu, &all, &changes)?;
+            self.choose(windows, &mut best, &mut menu)?;
         }
         let mut plans = self.together(&best.sections);
         plans.lambda = (best.frame_prices().sum::<f64>() / self.clip.len() as f64).exp();
         Ok(plans)
     }
 
-    /// Adds plans at prices that differ by `changes` from those of `best` to the `menu` of each section, and the best
-    /// choice among all of them: in the first place, and as `best`, if it is better than that.
+    /// The plans at these prices with quantisers that go with them. From there on sections keep these, and I planes send the
+    /// range arrays that they send now, so that what they cost is known.
+    fn settle(&mut self, windows: &Windows, prices: Vec<Prices>) -> Result<Attempt, EncodeError> {
+        self.runs = None;
+        let settled = self.first_attempt(windows, prices)?;
+        self.runs = Some(Arc::new(self.together(&settled.sections).runs(self.clip, self.options)));
+        Ok(settled)
+    }
+
+    /// Takes in how the bits of P planes of each section follow its price.
+    fn note(&self, responses: &mut [Response], attempt: &Attempt) {
+        for (index, frames) in self.frames_of_sections().enumerate() {
+            let made = &attempt.sections[index];
+            let intra = self.sections[index].clone().map(|index| self.clip.period(index).start);
+            let bits: u64 = attempt.bits[frames].iter().sum();
+            let intra: u64 = intra.map(|frame| attempt.bits[frame]).sum();
+            responses[index].note(made.mean_price(), (bits - intra) as f64);
+        }
+    }
+
+    /// The plans of an attempt, to choose from.
+    fn menu(&self, attempt: &Attempt) -> Vec<Vec<Variant>> {
+        self.variants(attempt).map(|variant| vec![variant]).collect()
+    }
+
+    /// Adds the plans of an attempt to the menu of each section, if they are others than those of the one before.
+    fn add(&self, menu: &mut [Vec<Variant>], attempt: &Attempt, before: &Attempt) {
+        for (index, variant) in self.variants(attempt).enumerate() {
+            if !Arc::ptr_eq(&variant.made, &before.sections[index]) {
+                menu[index].push(variant);
+            }
+        }
+    }
+
+    /// Whether each section is in a window that is not held.
+    fn unheld(&self, windows: &Windows, attempt: &Attempt) -> Vec<bool> {
+        let mut near = vec![false; self.clip.len()];
+        windows.broken(&attempt.bits).for_each(|span| near[span].fill(true));
+        self.frames_of_sections().map(|frames| near[frames].iter().any(|&near| near)).collect()
+    }
+
+    /// Adds plans at prices that differ by `changes` from those of `best` to the menus of sections, where they are `near`.
+    fn vary(
+        &mut self,
+        windows: &Windows,
+        best: &Attempt,
+        menu: &mut [Vec<Variant>],
+        near: &[bool],
+        changes: &[[f64; 2]],
+    ) -> Result<(), EncodeError> {
+        for &change in changes {
+            let prices = best.prices.iter().zip(near);
+            let prices = prices.map(|(base, near)| if *near { changed(base, change) } else { base.clone() });
+            let attempt = self.attempt(windows, prices.collect(), best)?;
+            self.add(menu, &attempt, best);
+        }
+        Ok(())
+    }
+
+    /// Makes the best choice among the menu of each section `best` if it is better than that, and puts it in the first place.
     fn choose(
         &mut self,
         windows: &Windows,
         best: &mut Attempt,
         menu: &mut [Vec<Variant>],
-        changes: &[[f64; 2]],
     ) -> Result<(), EncodeError> {
-        let bases: Vec<Prices> = best.prices.iter().map(|prices| prices.iter().collect()).collect();
-        for &change in changes {
-            let prices = bases.iter().map(|base| base.changed(change)).collect();
-            let attempt = self.attempt(windows, prices, best)?;
-            menu.iter_mut().zip(self.variants(&attempt)).for_each(|(plans, variant)| plans.push(variant));
-        }
         let frames: Vec<Range<usize>> = self.frames_of_sections().collect();
-        let chosen = choose(windows, &frames, menu);
-        let chosen: Vec<&Variant> = menu.iter().zip(chosen).map(|(plans, plan)| &plans[plan]).collect();
-        let prices = chosen.iter().map(|variant| variant.prices.clone()).collect();
-        let sections = self.remake(&chosen, best)?;
-        let found = self.account(windows, prices, sections)?;
-        if found.beats(best) {
-            menu.iter_mut().zip(self.variants(&found)).for_each(|(plans, variant)| plans.insert(0, variant));
-            *best = found;
+        let mut before = Vec::new();
+        for _ in 0..CHOICES {
+            let chosen = choose(windows, &frames, menu);
+            if chosen == before || chosen.iter().all(|&plan| plan == 0) {
+                break;
+            }
+            let plans = || menu.iter().zip(&chosen).map(|(plans, &plan)| &plans[plan]);
+            let prices = plans().map(|variant| variant.made.prices.clone()).collect();
+            let sections = plans().map(|variant| Arc::clone(&variant.made)).collect();
+            let found = self.account(windows, prices, sections)?;
+            // Beside these neighbours I planes may send other arrays.
+            for (index, frames) in frames.iter().enumerate() {
+                menu[index][chosen[index]].bits = found.bits_of(frames.clone());
+            }
+            before = chosen;
+            if found.beats(best) {
+                menu.iter_mut().zip(&before).for_each(|(plans, &plan)| plans.swap(0, plan));
+                *best = found;
+                before.fill(0);
+            }
         }
         Ok(())
     }
 
-    /// The plans that these were, of which those of `best` are at hand.
-    fn remake(&mut self, chosen: &[&Variant], best: &Attempt) -> Result<Vec<Arc<Made>>, EncodeError> {
-        chosen.iter().enumerate().for_each(|(index, variant)| self.weigh(index, &variant.recipe.prices));
-        self.each(self.sections.len(), |search, index| {
-            let recipe = &chosen[index].recipe;
-            if best.sections[index].recipe.is(recipe) {
-                return Ok(Arc::clone(&best.sections[index]));
-            }
-            let plans =
-                self.cheapest(search, self.sections[index].clone(), 1.0, recipe.quant..=recipe.quant)?;
-            Ok(Arc::new(Made { plans, recipe: recipe.clone() }))
-        })
-    }
-
     /// What is kept of the plans of each section.
     fn variants<'v>(&'v self, attempt: &'v Attempt) -> impl Iterator<Item = Variant> + 'v {
-        self.frames_of_sections().enumerate().map(|(index, frames)| attempt.variant(index, frames))
+        let variant = |(index, frames)| Variant {
+            bits: attempt.bits_of(frames),
+            error: attempt.errors[index],
+            made: Arc::clone(&attempt.sections[index]),
+        };
+        self.frames_of_sections().enumerate().map(variant)
     }
 
     fn frames_of_sections(&self) -> impl Iterator<Item = Range<usize>> + '_ {
@@ -317,24 +427,13 @@ impl Planner<'_> {
         plan.ways.iter().filter(exact).map(of_one).sum()
     }
 
-    /// The plans at these prices, and what they cost, beginning with no others: the quantiser of each section is one that fits
-    /// its prices, and that of the one before where ranges that serve both are worth more.
+    /// The plans at these prices, and what they cost, beginning with no others.
     fn first_attempt(&mut self, windows: &Windows, prices: Vec<Prices>) -> Result<Attempt, EncodeError> {
         prices.iter().enumerate().for_each(|(index, prices)| self.weigh(index, prices));
-        let menu = self.each(self.sections.len(), |search, index| {
-            let section = self.sections[index].clone();
-            let near = self.quants_near(&prices[index]);
-            let plans = near.filter_map(|quant| self.with_quant(search, section.clone(), quant, 1.0));
-            let plans: Vec<_> = plans.collect();
-            if plans.is_empty() { Ok(vec![self.cheapest(search, section, 1.0, QUANTS)?]) } else { Ok(plans) }
+        let quants = self.quants(windows, &prices);
+        let made = self.each(self.sections.len(), |search, index| {
+            self.make(search, index, &prices[index], quants[index])
         })?;
-        let chosen = smooth(&menu, self.options);
-        let made = menu.into_iter().zip(chosen).zip(&prices).filter_map(|((mut plans, chosen), prices)| {
-            let plans = plans.swap_remove(chosen);
-            let recipe = Recipe { prices: prices.clone(), quant: plans.first()?.quant };
-            Some(Arc::new(Made { plans, recipe }))
-        });
-        let made = made.collect();
         self.account(windows, prices, made)
     }
 
@@ -362,7 +461,8 @@ impl Planner<'_> {
         let (_, report) = self.together(&sections).write(self.clip, self.options)?;
         let bits = report.frame_bits;
         let [excess, most] = windows.excess(&bits);
-        let used = most.max(bits.iter().sum::<u64>() as f64 / windows.total);
+        let share = bits.iter().sum::<u64>() as f64 / windows.total;
+        let (excess, used) = (excess + (share - MOST).max(0.0), most.max(share));
         let error = |(section, made): (&Range<usize>, &Arc<Made>)| {
             section.clone().zip(&made.plans).map(|(index, plan)| self.error(index, plan)).sum()
         };
@@ -371,9 +471,10 @@ impl Planner<'_> {
     }
 
     fn together(&mut self, sections: &[Arc<Made>]) -> Plans {
-        sections.iter().enumerate().for_each(|(index, made)| self.weigh(index, &made.recipe.prices));
+        sections.iter().enumerate().for_each(|(index, made)| self.weigh(index, &made.prices));
         let periods = sections.iter().flat_map(|made| made.plans.iter().cloned()).collect();
-        let mut plans = Plans { periods, lambda: 1.0, skip: true, filler: Vec::new() };
+        let mut plans =
+            Plans { periods, lambda: 1.0, skip: true, filler: Vec::new(), runs: self.runs.clone() };
         self.drop_useless(&mut plans);
         plans
     }
@@ -387,7 +488,7 @@ impl Planner<'_> {
     }
 
     /// I planes cost what they cost.
-    fn forecast<'p>(&self, prices: &'p [f64], bits: &[u64]) -> Forecast<'p> {
+    fn forecast<'p>(&self, prices: &'p [f64], bits: &[u64], responses: &[Response]) -> Forecast<'p> {
         let mut moving: Vec<f64> = bits.iter().map(|&bits| bits as f64).collect();
         let mut fixed = vec![0.0; moving.len()];
         for index in 0..self.clip.periods() {
@@ -396,10 +497,13 @@ impl Planner<'_> {
         }
         // What is left out may be sent at another price.
         moving.iter_mut().for_each(|bits| *bits = bits.max(LEFT_OUT));
-        Forecast { before: prices, prices: prices.to_vec(), fixed, moving }
+        let powers = self.frames_of_sections().zip(responses);
+        let elasticity = powers.flat_map(|(frames, response)| frames.map(|_| response.elasticity)).collect();
+        Forecast { before: prices, prices: prices.to_vec(), fixed, moving, elasticity }
     }
 
-    /// The plans of a section at these prices: the ones before, if they have not changed.
+    /// The plans of a section at these prices: the ones before, if they have not changed. Another quantiser is a leap in what
+    /// it costs, so it keeps its own.
     fn follow(
         &self,
         search: &mut Search,
@@ -407,60 +511,97 @@ impl Planner<'_> {
         prices: &Prices,
         before: &Arc<Made>,
     ) -> Result<Arc<Made>, EncodeError> {
-        if !before.is_stale(prices) {
-            return Ok(Arc::clone(before));
+        if before.is_stale(prices) {
+            self.make(search, index, prices, before.quant)
+        } else {
+            Ok(Arc::clone(before))
         }
-        let near = self.quants_near(prices);
-        // Another quantiser is a leap in what the section costs, so it changes no further than it must.
-        let quant = before.recipe.quant.clamp(*near.start(), *near.end());
+    }
+
+    /// The plans of a section at these prices with this quantiser, or with the best one if it is out of reach of that.
+    fn make(
+        &self,
+        search: &mut Search,
+        index: usize,
+        prices: &Prices,
+        quant: u8,
+    ) -> Result<Arc<Made>, EncodeError> {
         let section = self.sections[index].clone();
         let plans = match self.cheapest(search, section.clone(), 1.0, quant..=quant) {
             Err(EncodeError::OutOfRange { .. }) => self.cheapest(search, section, 1.0, QUANTS)?,
             plans => plans?,
         };
         let quant = plans.first().map_or(quant, |plan| plan.quant);
-        Ok(Arc::new(Made { plans, recipe: Recipe { prices: prices.clone(), quant } }))
+        Ok(Arc::new(Made { plans, prices: prices.clone(), quant }))
     }
 
-    /// The quantiser indices that go with prices.
-    fn quants_near(&self, prices: &Prices) -> RangeInclusive<u8> {
-        let mean = (prices.iter().sum::<f64>() / prices.iter().count().max(1) as f64).exp();
-        let fits = index_of_step((mean / LAMBDA_PER_STEP).sqrt(), self.options.steps);
-        fits.saturating_sub(1).max(*QUANTS.start())..=(fits + 1).min(*QUANTS.end())
+    /// The quantiser of each section: one that goes with its prices, or that of the one before where that is not far off, as
+    /// another needs all range arrays, which is a leap in what a window costs.
+    fn quants(&self, windows: &Windows, prices: &[Prices]) -> Vec<u8> {
+        let steps: Vec<f64> = QUANTS.map(|quant| bend_step(quant, self.options.steps).ln()).collect();
+        let arrays = saved_bits(self.options, self.options.sendable(&self.clip.mask(0)).len());
+        let change = arrays * (arrays / (LEAP * windows.bits)).powi(2).clamp(LEAPS[0], LEAPS[1]);
+        let frame = windows.total / self.clip.len() as f64;
+        // Least bits up to each section with each quantiser, and where the one before it has another, which.
+        let mut least = vec![0.0; steps.len()];
+        let mut others: Vec<Vec<usize>> = Vec::with_capacity(prices.len());
+        for prices in prices {
+            let (best, bits) = smallest(&least);
+            let from = least
+                .iter()
+                .enumerate()
+                .map(|(quant, &stay)| if stay > bits + change { best } else { quant });
+            others.push(from.collect());
+            let mean = prices.iter().sum::<f64>() / prices.len().max(1) as f64;
+            let wanted = 0.5 * (mean - LAMBDA_PER_STEP.ln());
+            for (least, step) in least.iter_mut().zip(&steps) {
+                *least =
+                    least.min(bits + change) + MISFIT * frame * prices.len() as f64 * (step - wanted).powi(2);
+            }
+        }
+        let (mut quant, _) = smallest(&least);
+        let mut quants: Vec<u8> = Vec::with_capacity(prices.len());
+        for others in others.iter().rev() {
+            quants.push(QUANTS.start() + quant as u8);
+            quant = others[quant];
+        }
+        quants.reverse();
+        quants
     }
 }
 
-/// Which of its plans each section follows so that they cost least, with the ranges that sections of other quantisers than
-/// the one before must send.
-fn smooth(menu: &[Vec<Vec<PeriodPlan>>], options: &PlanOptions) -> Vec<usize> {
-    // Least cost of each plan of a section, and the plan before it.
-    let mut ways: Vec<Vec<(f64, usize)>> = Vec::with_capacity(menu.len());
-    let quant = |plans: &[PeriodPlan]| plans.first().map(|plan| (plan.quant, plan.ways.len()));
-    for (index, section) in menu.iter().enumerate() {
-        let reached = section.iter().map(|plans| {
-            let before = index.checked_sub(1).map_or(&[][..], |before| &menu[before]);
-            let known = ways.last().map_or(&[][..], Vec::as_slice);
-            let from = before.iter().zip(known).enumerate().map(|(number, (before, (least, _)))| {
-                let saved = if quant(before) == quant(plans) {
-                    saved_bits(options, plans[0].ways.len())
-                } else {
-                    0.0
-                };
-                (least - saved, number)
-            });
-            let (least, number) = from.min_by(|a, b| a.0.total_cmp(&b.0)).unwrap_or((0.0, 0));
-            (least + cost(plans), number)
-        });
-        let reached = reached.collect();
-        ways.push(reached);
+/// The number of the smallest of some values, and that.
+fn smallest(values: &[f64]) -> (usize, f64) {
+    let least = values.iter().copied().enumerate().min_by(|a, b| a.1.total_cmp(&b.1));
+    least.unwrap_or((0, f64::INFINITY))
+}
+
+/// How bits of the P planes of a section follow its price: the last of its plans that told, and the power of the price that
+/// they fall with.
+#[derive(Clone, Copy)]
+struct Response {
+    last: Option<[f64; 2]>,
+    elasticity: f64,
+}
+
+impl Default for Response {
+    fn default() -> Self {
+        Self { last: None, elasticity: ELASTICITY }
     }
-    let last = ways.last().and_then(|ways| (0..ways.len()).min_by(|&a, &b| ways[a].0.total_cmp(&ways[b].0)));
-    let mut chosen = last.unwrap_or(0);
-    let mut all = Vec::with_capacity(ways.len());
-    for ways in ways.iter().rev() {
-        all.push(chosen);
-        chosen = ways[chosen].1;
+}
+
+impl Response {
+    /// Takes in the bits of plans at a mean price, as a logarithm.
+    fn note(&mut self, price: f64, bits: f64) {
+        let here = [price, bits.max(1.0).ln()];
+        let Some(last) = self.last else {
+            self.last = Some(here);
+            return;
+        };
+        if (here[0] - last[0]).abs() > TELLS {
+            let power = (last[1] - here[1]) / (here[0] - last[0]);
+            self.elasticity = 0.5 * (self.elasticity + power.clamp(ELASTICITIES[0], ELASTICITIES[1]));
+            self.last = Some(here);
+        }
     }
-    all.reverse();
-    all
 }

@@ -175,7 +175,8 @@ impl LiveEncoder {
         self.note_extent(&frame);
         // Where the rate is to be held, I planes keep to their times.
         let early = self.out.planes() > 0 && self.since_complete < self.interval;
-        let owed = self.out.owed()?;
+        // What a plane costs matters to a rate alone.
+        let owed = if self.holds_rate() { self.out.owed()? } else { 0 };
         let leaps = self.leaps(&frame);
         self.leapt |= leaps;
         let mut bits = match self.write_needed(&frame, leaps)? {
@@ -191,13 +192,17 @@ impl LiveEncoder {
         self.since_complete += 1;
         let intra = bits.intra_values > 0;
         // A plane that stands for frames left out is at the first of them, and charged for then.
-        let spent = bits.total() + self.out.owed()? - owed;
+        let spent = if self.holds_rate() { bits.total() + self.out.owed()? - owed } else { 0 };
         let cause = match intra {
             true if leaps && early => Cause::Leap,
             true => Cause::Intra,
             false => Cause::Change,
         };
-        self.steer(&frame.without(held), spent, cause);
+        if held.is_empty() {
+            self.steer(&frame, spent, cause);
+        } else {
+            self.steer(&frame.without(held), spent, cause);
+        }
         if intra && !early {
             self.steering.expect_intra(spent, self.interval - (self.since_complete - 1));
         }
@@ -263,12 +268,16 @@ impl LiveEncoder {
 
     /// A P plane, or an I plane if the ranges are too narrow for it, or nothing.
     fn write_change(&mut self, frame: &BapFrame) -> Result<PlaneBits, EncodeError> {
-        let mut frame = *frame;
-        for bap in self.mask().difference(&frame.mask).iter() {
+        let gone = self.mask().difference(&frame.mask);
+        let mut filled;
+        let frame = if gone.is_empty() {
+            frame
+        } else {
             // What has no value any more, and no room to be switched off, stays as it is.
-            frame.set(bap, self.out.writer.values()[bap.index()]);
-        }
-        let frame = &frame;
+            filled = *frame;
+            gone.iter().for_each(|bap| filled.set(bap, self.out.writer.values()[bap.index()]));
+            &filled
+        };
         let room = self.steering.room();
         if !self.predict(frame, room)?
             && (self.steering.affords_ranges() || self.urgent && self.steering.bears_ranges())

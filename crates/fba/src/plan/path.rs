@@ -233,17 +233,17 @@ impl Factorials {
 /// Work space of the search.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Search {
-    /// Of the track that was prepared last: the level nearest to each input value, what each level near it costs, and how
-    /// many of these there are to each side.
+    /// Of the track that was prepared last: the level nearest to each input value, what each level near it costs (rows of
+    /// [`lanes`] that end with one that no level has), and how many of these there are to each side.
     centres: Vec<i32>,
     penalties: Vec<f64>,
     width: i32,
-    /// Price of each change in frames that are sent anyway, and in others, with room for changes beyond the range.
+    /// Price of each change within the range, in frames that are sent anyway, and in others.
     prices: [Vec<f64>; 2],
-    from: Vec<u8>,
-    cost: Vec<f64>,
-    next: Vec<f64>,
+    /// Least cost of each level near each input value, in rows as above.
+    costs: Vec<f64>,
     counts: Vec<u32>,
+    counts_before: Vec<u32>,
     symbol_cost: Vec<f64>,
 }
 
@@ -266,11 +266,11 @@ impl Search {
         guess: &[i32],
     ) -> Option<Path> {
         let mut best: Option<Path> = None;
-        let mut current = guess.to_vec();
+        self.count(guess, company, reach);
         for _ in 0..ROUNDS {
-            self.count(&current, company, reach);
             self.set_costs();
             let path = self.walk(track, company, reach)?;
+            std::mem::swap(&mut self.counts, &mut self.counts_before);
             self.count(&path, company, reach);
             let mut found = Path { error: error(track, &path), levels: path, ..Path::default() };
             found.bits = factorials.code_length(&self.counts) + intra_bits(found.levels.first().copied());
@@ -278,8 +278,11 @@ impl Search {
             if best.as_ref().is_some_and(|best| best.cost(track.lambda) <= found.cost(track.lambda)) {
                 break;
             }
-            current.clone_from(&found.levels);
             best = Some(found);
+            // The same counts lead the same way.
+            if self.counts == self.counts_before {
+                break;
+            }
         }
         best
     }
@@ -346,80 +349,114 @@ impl Search {
                 let over = if beyond > 0.0 { track.over } else { 0.0 };
                 self.penalties.push(weight * (off * track.worth).powi(2) + BEYOND * beyond * beyond + over);
             }
+            self.penalties.push(f64::INFINITY);
         }
     }
 
-    /// The price of each change within `reach`, and of those just beyond it.
+    /// The price of each change within `reach`.
     fn set_prices(&mut self, track: &Track<'_>, company: &Company<'_>, reach: [i32; 2]) {
-        let room = 2 * self.width as usize;
         for (alone, prices) in self.prices.iter_mut().enumerate() {
             prices.clear();
-            prices.resize(room, f64::INFINITY);
             let more = if alone == 0 { 0.0 } else { company.alone };
             prices.extend(self.symbol_cost.iter().map(|bits| track.lambda * (bits + more)));
             if alone == 1 {
-                prices[room + reach[1] as usize] = 0.0;
+                prices[reach[1] as usize] = 0.0;
             }
-            prices.resize(prices.len() + room, f64::INFINITY);
         }
     }
 
     /// Dynamic programming over reconstructions within reach of the input of the track prepared.
     fn walk(&mut self, track: &Track<'_>, company: &Company<'_>, reach: [i32; 2]) -> Option<Vec<i32>> {
-        let width = self.width;
-        let states = (2 * width + 1) as usize;
         self.set_prices(track, company, reach);
-        let mut before = *self.centres.first()?;
-        let most = range_levels(MAX_RANGE_CODE, track.quant);
-        self.cost.clear();
-        self.cost.extend((before - width..=before + width).zip(&self.penalties).map(|(level, penalty)| {
-            let price = track.lambda * intra_bits(Some(level));
-            if level.abs() > most { f64::INFINITY } else { penalty + price }
-        }));
-        self.from.clear();
-        let frames = self.centres.iter().zip(self.penalties.chunks_exact(states)).zip(company.others);
-        for ((&here, penalties), &others) in frames.skip(1) {
-            let prices = &self.prices[usize::from(others == 0)];
-            self.next.clear();
-            for (offset, penalty) in (-width..=width).zip(penalties) {
-                // From the highest state; one lower is one more to change.
-                let least_change = here + offset - before - width;
-                let first = least_change + reach[1] + 2 * width;
-                let changes = usize::try_from(first).ok().and_then(|first| prices.get(first..first + states));
-                let (cost, state) =
-                    changes.map_or((f64::INFINITY, 0), |changes| cheapest(&self.cost, changes));
-                self.next.push(cost + penalty);
-                self.from.push(state);
-            }
-            std::mem::swap(&mut self.cost, &mut self.next);
-            before = here;
+        match self.width {
+            1 => self.spread::<{ lanes(1) }>(track, company, reach)?,
+            2 => self.spread::<{ lanes(2) }>(track, company, reach)?,
+            3 => self.spread::<{ lanes(3) }>(track, company, reach)?,
+            4 => self.spread::<{ lanes(4) }>(track, company, reach)?,
+            _ => self.spread::<{ lanes(MAX_REACH) }>(track, company, reach)?,
         }
-        let (mut state, cost) = self.cost.iter().copied().enumerate().min_by(|a, b| a.1.total_cmp(&b.1))?;
+        self.retrace(company, reach)
+    }
+
+    /// Sets the least cost of each level near each input value, of `N` as [`lanes`] has them.
+    fn spread<const N: usize>(
+        &mut self,
+        track: &Track<'_>,
+        company: &Company<'_>,
+        reach: [i32; 2],
+    ) -> Option<()> {
+        let width = self.width;
+        let (rows, _) = self.penalties.as_chunks::<N>();
+        let (&first, &start) = (rows.first()?, self.centres.first()?);
+        let most = range_levels(MAX_RANGE_CODE, track.quant);
+        // The costs of the frame before, between levels that cannot be.
+        let mut before = [[f64::INFINITY; N]; 3];
+        before[1] = first;
+        for (level, cost) in (start - width..=start + width).zip(&mut before[1]) {
+            let price = track.lambda * intra_bits(Some(level));
+            *cost = if level.abs() > most { f64::INFINITY } else { *cost + price };
+        }
+        self.costs.clear();
+        self.costs.extend_from_slice(&before[1]);
+        let mut last = start;
+        for ((&here, penalties), &others) in self.centres.iter().zip(rows).zip(company.others).skip(1) {
+            let prices = &self.prices[usize::from(others == 0)];
+            let moved = here - last;
+            // A change leads from the level that lies `moved` less the change higher in the row before.
+            let [low, high] = [(moved - 2 * width).max(-reach[1]), (moved + 2 * width).min(reach[0])];
+            let mut least = [f64::INFINITY; N];
+            let padded = before.as_flattened();
+            for change in low..=high {
+                let from = N.wrapping_add_signed((moved - change) as isize);
+                let price = prices[(change + reach[1]) as usize];
+                for (least, cost) in least.iter_mut().zip(&padded[from..from + N]) {
+                    let sum = cost + price;
+                    *least = if sum < *least { sum } else { *least };
+                }
+            }
+            for ((cost, least), penalty) in before[1].iter_mut().zip(least).zip(penalties) {
+                *cost = least + penalty;
+            }
+            self.costs.extend_from_slice(&before[1]);
+            last = here;
+        }
+        Some(())
+    }
+
+    /// The way that led to the least of the last costs; of several, that of the lowest levels, from the last on.
+    fn retrace(&self, company: &Company<'_>, reach: [i32; 2]) -> Option<Vec<i32>> {
+        let states = (2 * self.width + 1) as usize;
+        let rows = self.costs.chunks_exact(states + 1).map(|row| &row[..states]);
+        let mut rows = rows.zip(&self.centres).zip(company.others).rev();
+        let ((row, &centre), mut others) = rows.next()?;
+        let (state, cost) = row.iter().copied().enumerate().min_by(|a, b| a.1.total_cmp(&b.1))?;
         if !cost.is_finite() {
             return None;
         }
-        let mut levels = vec![0; track.input.len()];
-        for (index, (level, &centre)) in levels.iter_mut().zip(&self.centres).enumerate().rev() {
-            *level = centre - width + state as i32;
-            if index > 0 {
-                state = usize::from(self.from[(index - 1) * states + state]);
+        let mut level = centre - self.width + state as i32;
+        let mut levels = vec![level; self.centres.len()];
+        let places = levels.iter_mut().rev().skip(1);
+        for (((row, &centre), here), place) in rows.zip(places) {
+            let prices = &self.prices[usize::from(*others == 0)];
+            let mut least = (f64::INFINITY, level);
+            for (from, cost) in (centre - self.width..).zip(row) {
+                let change = usize::try_from(level - from + reach[1]).ok();
+                let sum = change.and_then(|change| prices.get(change)).map_or(f64::INFINITY, |p| cost + p);
+                if sum < least.0 {
+                    least = (sum, from);
+                }
             }
+            (level, others) = (least.1, here);
+            *place = level;
         }
         Some(levels)
     }
 }
 
-/// The least sum of the cost of a state and the price of the change from it, and the first state that has it. Prices are
-/// those from the last state first.
-fn cheapest(costs: &[f64], prices: &[f64]) -> (f64, u8) {
-    let mut least = (f64::INFINITY, 0u8);
-    for (state, (cost, price)) in costs.iter().zip(prices.iter().rev()).enumerate() {
-        let sum = cost + price;
-        if sum < least.0 {
-            least = (sum, state as u8);
-        }
-    }
-    least
+/// Levels up to `width` steps to each side of one, and another that makes their number even: the processor takes them by
+/// twos.
+const fn lanes(width: i32) -> usize {
+    2 * width as usize + 2
 }
 
 /// Bits of an I value whose range just holds it.

@@ -1,5 +1,7 @@
 //! The plans of the I periods of a clip, and how they become a stream.
 
+use std::sync::Arc;
+
 use super::super::error::EncodeError;
 use super::super::reach::out_of_range;
 use super::super::state::step;
@@ -10,7 +12,7 @@ use super::super::writer::PlaneWriter;
 use super::clip::Clip;
 use super::options::{PlanOptions, degrees_of, new_writer};
 use super::path::{self, Changes, Path, Way, codes_for, track};
-use super::ranges::{params, sent_arrays};
+use super::ranges::{Runs, params, sent_arrays};
 use super::report::PlanReport;
 use super::{share, windows};
 use crate::bap::{BAP_COUNT, Bap, BapFrame, BapMask, Unit, derive};
@@ -55,6 +57,8 @@ pub(super) struct Plans {
     pub skip: bool,
     /// How many planes that say nothing follow that of each frame; empty if none do anywhere.
     pub filler: Vec<u32>,
+    /// Which periods send range arrays, where that is settled.
+    pub runs: Option<Arc<Runs>>,
 }
 
 impl Plans {
@@ -75,7 +79,7 @@ impl Plans {
             Ok(PeriodPlan { quant, frames: clip.period(index).len(), ways, cost: 0.0 })
         };
         let periods = share::each(clip.periods(), period).into_iter().collect::<Result<_, _>>()?;
-        Ok(Self { periods, lambda: 0.0, skip: false, filler: Vec::new() })
+        Ok(Self { periods, lambda: 0.0, skip: false, filler: Vec::new(), runs: None })
     }
 
     /// Whether a plane is sent at each frame: at the first one of each period, and at those that change something.
@@ -89,6 +93,23 @@ impl Plans {
             }
         }
         sent
+    }
+
+    /// The range arrays that the I plane of each period sends, whose frames have planes or none, and which do.
+    fn arrays(
+        &self,
+        sent: &[bool],
+        clip: &Clip,
+        options: &PlanOptions,
+    ) -> (Vec<[Option<RangeCodes>; 4]>, Runs) {
+        let planes = |index| sent[clip.period(index)].iter().skip(1).filter(|&&sent| sent).count();
+        let planes: Vec<usize> = (0..clip.periods()).map(planes).collect();
+        sent_arrays(&self.periods, &planes, &|index| clip.leaps(index), options, self.runs.as_deref())
+    }
+
+    /// Which periods send range arrays.
+    pub fn runs(&self, clip: &Clip, options: &PlanOptions) -> Runs {
+        self.arrays(&self.sent(clip), clip, options).1
     }
 
     /// Writes the stream and measures it.
@@ -192,13 +213,11 @@ impl<'a> Pen<'a> {
             ..PlanReport::default()
         };
         let sent = plans.sent(clip);
-        let planes = |index| sent[clip.period(index)].iter().skip(1).filter(|&&sent| sent).count();
-        let planes: Vec<usize> = (0..clip.periods()).map(planes).collect();
         Self {
             plans,
             clip,
             options,
-            arrays: sent_arrays(&plans.periods, &planes, &|index| clip.leaps(index), options),
+            arrays: plans.arrays(&sent, clip, options).0,
             writer: new_writer(options),
             report,
             levels: Vec::new(),

@@ -46,30 +46,44 @@ struct Need {
     leaps: bool,
 }
 
-/// The arrays that the I plane of each period sends. `planes` has the number of P planes of each, `leaps` tells which begin
-/// out of turn.
+/// Numbers of the periods that send each array, by [`RangeEnd`], in ascending order.
+pub(super) type Runs = [Vec<usize>; 4];
+
+/// The arrays that the I plane of each period sends, and where. `planes` has the number of P planes of each, `leaps` tells
+/// which begin out of turn; `known` has periods that send them in any case, and no others do unless they must.
 pub(super) fn sent_arrays(
     periods: &[PeriodPlan],
     planes: &[usize],
     leaps: &dyn Fn(usize) -> bool,
     options: &PlanOptions,
-) -> Vec<[Option<RangeCodes>; 4]> {
+    known: Option<&Runs>,
+) -> (Vec<[Option<RangeCodes>; 4]>, Runs) {
     let need = |(index, (period, &planes))| Need::of(period, planes, leaps(index));
     let needs: Vec<Need> = periods.iter().zip(planes).enumerate().map(need).collect();
     let mut sent = vec![[None; 4]; needs.len()];
     let longest = planes.iter().copied().max().unwrap_or(0);
     let symbols = 2 * range_levels(MAX_RANGE_CODE, 0) as usize + 1;
     let runs_allowed = lasting(options) && needs.len() > 1;
-    let factorials = Factorials::new(if runs_allowed { longest + symbols } else { 0 });
-    for end in RangeEnd::ALL.map(|end| end as usize) {
-        let starts =
-            if runs_allowed { run_starts(&needs, end, &factorials) } else { (0..needs.len()).collect() };
+    let searched = runs_allowed && known.is_none();
+    let factorials = Factorials::new(if searched { longest + symbols } else { 0 });
+    let runs = RangeEnd::ALL.map(|end| end as usize).map(|end| match known {
+        _ if !runs_allowed => (0..needs.len()).collect(),
+        None => run_starts(&needs, end, &factorials),
+        Some(known) => (0..needs.len())
+            .filter(|&index| {
+                known[end].binary_search(&index).is_ok()
+                    || index == 0
+                    || !needs[index].follows(&needs[index - 1])
+            })
+            .collect(),
+    });
+    for (end, starts) in runs.iter().enumerate() {
         let ends = starts.iter().skip(1).copied().chain([needs.len()]);
         for (&start, behind) in starts.iter().zip(ends) {
             sent[start][end] = Some(codes(&needs[start..behind], end));
         }
     }
-    sent
+    (sent, runs)
 }
 
 impl Need {
@@ -81,6 +95,11 @@ impl Need {
         });
         let mask = period.ways.iter().map(|(bap, _)| *bap).collect();
         Self { quant: period.quant, mask, levels: levels.collect(), planes, leaps }
+    }
+
+    /// Whether arrays of the period before may serve it.
+    fn follows(&self, before: &Self) -> bool {
+        self.mask == before.mask && self.quant == before.quant
     }
 
     /// Bits that it costs if ranges reach to `levels` at one end.
@@ -124,7 +143,7 @@ fn run_starts(needs: &[Need], end: usize, factorials: &Factorials) -> Vec<usize>
         let (mut waste, mut turns) = (0.0, 0);
         for (length, need) in needs[start..].iter().take(MOST).enumerate() {
             turns += usize::from(!need.leaps || length == 0);
-            if need.mask != first.mask || need.quant != first.quant || turns > LONGEST {
+            if !need.follows(first) || turns > LONGEST {
                 break;
             }
             let mut wider = false;
@@ -181,7 +200,7 @@ mod tests {
         ];
         let planes = [90; 5];
         let options = PlanOptions::default();
-        let sent = sent_arrays(&periods, &planes, &|_| false, &options);
+        let (sent, runs) = sent_arrays(&periods, &planes, &|_| false, &options, None);
         let which: Vec<[bool; 4]> = sent.iter().map(|arrays| arrays.map(|codes| codes.is_some())).collect();
         assert_eq!(which[..3], [[true; 4], [false; 4], [false; 4]]);
         assert_eq!(which[3], [true; 4]);
@@ -191,8 +210,9 @@ mod tests {
         let code = |period: usize, end: usize| sent[period][end].map(|codes| codes[index]);
         assert_eq!([code(0, 2), code(0, 3), code(4, 3)], [Some(1), Some(1), Some(20)]);
         assert!(range_levels(code(0, 0).unwrap(), 8) >= 24);
+        assert_eq!(sent_arrays(&periods, &planes, &|_| false, &options, Some(&runs)), (sent, runs));
         let resync = PlanOptions { resync: true, ..options };
-        let all = sent_arrays(&periods, &planes, &|_| false, &resync);
+        let (all, _) = sent_arrays(&periods, &planes, &|_| false, &resync, None);
         assert!(all.iter().flatten().all(Option::is_some));
     }
 }

@@ -1,6 +1,7 @@
 //! Searches the plans of a clip.
 
 use std::ops::{Range, RangeInclusive};
+use std::sync::Arc;
 
 use super::super::encoder::degrees_per_unit;
 use super::super::error::EncodeError;
@@ -11,6 +12,7 @@ use super::clip::Clip;
 use super::options::{Levels, PlanOptions, Target, refused};
 use super::path::{self, Company, Factorials, Path, Search, Track, Way, codes_for, track};
 use super::plans::{PeriodPlan, Plans};
+use super::ranges::Runs;
 use super::report::PlanReport;
 use super::share::{self, workers};
 use crate::bap::{BAP_COUNT, Bap, BapMask, Unit, derive};
@@ -27,6 +29,8 @@ pub(super) struct Planner<'a> {
     factorials: Factorials,
     /// What the squared error of each frame counts for.
     pub(super) weights: Vec<f64>,
+    /// Which periods send range arrays, once that is settled.
+    pub(super) runs: Option<Arc<Runs>>,
 }
 
 /// Quantiser indices worth trying.
@@ -189,6 +193,7 @@ impl<'a> Planner<'a> {
             sections: clip.sections(),
             factorials: Factorials::new(longest + symbols),
             weights: vec![1.0; clip.len()],
+            runs: None,
         }
     }
 
@@ -329,7 +334,7 @@ impl<'a> Planner<'a> {
         };
         let periods = self.each(self.clip.periods(), cheapest)?.into_iter().flatten().collect();
         let choices = self.options.choices;
-        let mut plans = Plans { periods, lambda, skip: choices.skips, filler: Vec::new() };
+        let mut plans = Plans { periods, lambda, skip: choices.skips, filler: Vec::new(), runs: None };
         if choices.masks {
             self.drop_useless(&mut plans);
         }

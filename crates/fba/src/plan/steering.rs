@@ -363,12 +363,14 @@ pub(super) fn live_quant(options: &PlanOptions, steering: &Steering, mask: &BapM
     (*QUANTS.start()..=wanted).rev().find(|&quant| coarsest(quant) <= 2.0 * options.bound()).unwrap_or(1)
 }
 
-/// The quantiser index whose step for a finger bend is nearest to `degrees`.
-pub(super) fn index_of_step(degrees: f64, steps: StepTable) -> u8 {
+/// The step of a finger bend at a quantiser index, degrees.
+pub(super) fn bend_step(quant: u8, steps: StepTable) -> f64 {
     let base = Bap::from_name("r_index1_flexion").map_or(128, |bap| bap.base_step(steps));
-    let off = |quant: u8| {
-        let step = f64::from(base * scale(quant)) * (1.0 / PER_RADIAN).to_degrees();
-        (step / degrees).ln().abs()
-    };
+    f64::from(base * scale(quant)) * (1.0 / PER_RADIAN).to_degrees()
+}
+
+/// The quantiser index whose step for a finger bend is nearest to `degrees`.
+fn index_of_step(degrees: f64, steps: StepTable) -> u8 {
+    let off = |quant: u8| (bend_step(quant, steps) / degrees).ln().abs();
     QUANTS.min_by(|&a, &b| off(a).total_cmp(&off(b))).unwrap_or(*QUANTS.start())
 }

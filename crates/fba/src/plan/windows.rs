@@ -11,6 +11,8 @@ use super::steering::QUANTS;
 /// Shares of its bits between which every window is promised to cost, and between which it is kept.
 const PROMISED: [f64; 2] = [0.95, 1.05];
 const HELD: [f64; 2] = [0.951, 1.049];
+/// What the first seconds, which are in no window, may cost more than the rate, as a share of it: their I plane sends all.
+const OPENING: f64 = 0.25;
 /// Bits of a plane that says nothing.
 const EMPTY_PLANE: f64 = 3.0;
 /// What a share too much counts for in shares too little.
@@ -27,7 +29,7 @@ pub(super) struct Windows {
     pub lively: Vec<f64>,
     /// Frames in which there is not.
     pub resting: Vec<bool>,
-    /// Bits of a window, and of the whole clip.
+    /// Bits of a window, and of the whole clip with what it begins with.
     pub bits: f64,
     pub total: f64,
 }
@@ -54,7 +56,7 @@ impl Windows {
             lively: vec![1.0; spans.len()],
             resting: vec![false; ticks.len()],
             bits: per_tick * window as f64,
-            total: per_tick * end as f64,
+            total: per_tick * (end as f64 + OPENING * first as f64),
             spans,
         }
     }
@@ -127,6 +129,17 @@ impl Windows {
         TOO_MUCH * (share - held[1]).max(0.0) + (held[0] * self.lively[span] - share).max(0.0)
     }
 
+    /// The same for all of some windows, of so many bits and others.
+    pub fn all_beyond(&self, windows: Range<usize>, bits: &[f64], more: &[f64], held: [f64; 2]) -> f64 {
+        let (scale, lively) = (1.0 / self.bits, &self.lively[windows]);
+        let beyond = bits.iter().zip(more).zip(lively).map(|((bits, more), lively)| {
+            let share = (bits + more) * scale;
+            let [over, under] = [share - held[1], held[0] * lively - share];
+            TOO_MUCH * if over > 0.0 { over } else { 0.0 } + if under > 0.0 { under } else { 0.0 }
+        });
+        beyond.sum()
+    }
+
     /// Planes that say nothing to follow that of each frame, so that no window costs too little for what moves in
     /// it, as far as none costs too much then. They follow frames that are sent, as late ones as can be: windows to
     /// come need them, too.
@@ -147,6 +160,12 @@ impl Windows {
             }
         }
         filler
+    }
+
+    /// Windows that are not within the band.
+    pub fn broken<'a>(&'a self, bits: &'a [u64]) -> impl Iterator<Item = Range<usize>> + 'a {
+        let beyond = self.all_sums(bits).enumerate().map(|(index, sum)| self.beyond(index, sum, HELD));
+        self.spans.iter().zip(beyond).filter(|(_, beyond)| *beyond > 0.0).map(|(span, _)| span.clone())
     }
 
     /// What all windows are beyond the band, and the largest share of its bits that one of them costs.

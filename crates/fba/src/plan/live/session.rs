@@ -66,7 +66,7 @@ impl LiveSession {
         self.errors.leave(self.options.left_to_model(&frame.mask));
         self.reconstruction = self.encoder.reconstruction();
         derive::fill_in(self.options.ties, &mut self.reconstruction);
-        self.errors.add(frame.without(held).iter(), &self.reconstruction);
+        self.errors.add(frame.iter().filter(|(bap, _)| !held.contains(*bap)), &self.reconstruction);
         self.take_bytes(out);
         Ok(())
     }
