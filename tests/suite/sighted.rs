@@ -236,7 +236,8 @@ fn a_hand_that_is_seen_late_is_followed_back() {
         let mut random = Random::new(7, 1);
         let sightings: Vec<_> =
             (0..FRAMES).map(|i| (synth.render(i).image, sighting(&synth, i, &mut random))).collect();
-        let mut options = ClipOptions { learning_frames: learning, ..ClipOptions::default() };
+        let mut options = ClipOptions::default();
+        options.learning_frames = learning;
         let pictures: Vec<_> = sightings.iter().map(|(picture, _)| picture.clone()).collect();
         options.finder = Some(FinderSource::new(move || {
             Box::new(Late { sightings: sightings.clone(), seen_from, followed_from, next: 0 })
