@@ -11,6 +11,7 @@ use super::state::ModelState;
 use handcast_hand::{
     FREE_ANGLES, Finger, FingerMorphology, FreeAngles, Joint, JointAngle, Morphology, Side, limits,
 };
+use handcast_vision::sighting::JOINTS;
 use handcast_vision::tuning::tuning;
 use handcast_vision::{Chirality, Halves, Mask};
 
@@ -37,6 +38,17 @@ impl View {
     /// (`thumb_right`). A silhouette shows that much and no more.
     pub fn of(side: Side, thumb_right: bool) -> Self {
         if (side == Side::Right) == thumb_right { View::Palm } else { View::Back }
+    }
+
+    /// The view of a hand whose joints a finder has seen at these places, in pixels to the right and down, and how surely: the
+    /// sine of the angle from the one knuckle to the other, seen from the wrist; near 0 the hand shows its edge.
+    pub(super) fn of_joints(points: &[[f64; 2]; JOINTS], side: Side) -> (Self, f64) {
+        let from_wrist = |k: usize| [0, 1].map(|c| points[k][c] - points[0][c]);
+        let (index, little) = (from_wrist(5), from_wrist(17));
+        let lengths = index[0].hypot(index[1]) * little[0].hypot(little[1]);
+        // Negative means that the index finger is clockwise from the little one, on the right.
+        let sine = (index[0] * little[1] - index[1] * little[0]) / lengths.max(1e-9);
+        (Self::of(side, sine < 0.0), sine.abs())
     }
 
     /// The side of a hand seen like this.

@@ -76,7 +76,8 @@ pub struct ClipOptions {
     pub hand_length: f64,
     /// Angle that the longer side of the image sees, degrees; sets the depth of the hand.
     pub field_of_view: f64,
-    /// Frames from which the colours are learnt.
+    /// Frames from which the colours are learnt; where a finder looks for hands the newest of those that have come when it has
+    /// seen one.
     pub learning_frames: usize,
     /// Whether colours are learnt from the next ones as long as these show no skin, and anew as long as no hand is found;
     /// without, no skin is an error at once, and so is what opens and is no hand.

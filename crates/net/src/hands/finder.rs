@@ -436,8 +436,8 @@ impl HandFinder for NetFinder {
         if picture.width() == 0 || picture.height() == 0 {
             return Ok(());
         }
-        let regions = after.iter().map(|hand| Region::of_joints(&hand.points));
-        let found = regions.into_iter().try_for_each(|region| self.add(picture, &region, hands));
+        let mut regions = after.iter().map(|hand| Region::of_joints(&hand.points));
+        let found = regions.try_for_each(|region| self.add(picture, &region, hands));
         found.map_err(|error| {
             hands.clear();
             FindError::new(error)

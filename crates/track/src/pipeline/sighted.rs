@@ -55,7 +55,9 @@ pub(super) struct SightedSilhouettes {
     tuning: SightedTuning,
     /// The hands of the last frames.
     last: Vec<Followed>,
-    /// Frames whose colours are still being learnt.
+    /// Whether something has been seen that is a hand.
+    come: bool,
+    /// Frames from which colours are to be learnt; the newest ones until a hand has come.
     waiting: Option<VecDeque<(Frame, Vec<Sighting>)>>,
     enough: usize,
     /// Most hands in a frame beside two.
@@ -86,9 +88,10 @@ impl Followed {
         hand.region.overlap(&self.hand.region) > SAME_REGION
     }
 
-    /// Whether it has been seen for long enough, and surely enough, to be a hand.
+    /// Whether it is a hand, whichever.
     fn is_hand(&self, tuning: &SightedTuning) -> bool {
-        self.seen >= tuning.least_seen && self.presence >= tuning.least_presence * self.seen as f64
+        let presence = self.presence / self.seen.max(1) as f64;
+        Known { odds: 0.0, seen: self.seen, presence }.is_hand(tuning)
     }
 }
 
@@ -104,6 +107,7 @@ impl SightedSilhouettes {
             segmenter: Box::new(segmenter),
             tuning,
             last: Vec::new(),
+            come: false,
             waiting: Some(VecDeque::new()),
             enough: options.learning_frames.max(1),
             further: 0,
@@ -118,6 +122,7 @@ impl SightedSilhouettes {
     /// Takes a frame; gives those whose silhouettes are found.
     pub(super) fn push(&mut self, frame: Frame) -> Result<Vec<Found>, FindError> {
         let hands = self.look(&frame)?;
+        self.come |= self.last.iter().any(|followed| followed.is_hand(&self.tuning));
         let Some(waiting) = &mut self.waiting else {
             if frame.index.is_multiple_of(self.tuning.learn_every.max(1)) {
                 self.segmenter.learn(&frame.image, &hands);
@@ -128,10 +133,11 @@ impl SightedSilhouettes {
         if waiting.len() < self.enough {
             return Ok(Vec::new());
         }
-        if self.last.iter().any(|followed| followed.is_hand(&self.tuning)) {
+        let shown = |(_, hands): &(Frame, Vec<Sighting>)| hands.iter().any(|hand| hand.presence > 0.0);
+        if self.come || waiting.front().is_some_and(shown) {
             return self.rest();
         }
-        // Before nobody has come the newest frames wait: they may show a hand that is seen only later.
+        // Before somebody has come the newest frames wait: they may show a hand that is seen only later.
         let gone: Vec<_> = waiting.drain(..=waiting.len() - self.enough).collect();
         Ok(gone.into_iter().map(|(frame, hands)| self.learnt(frame, hands)).collect())
     }
@@ -159,7 +165,12 @@ impl SightedSilhouettes {
                 behind.iter().filter(is_missed).map(|followed| followed.hand.clone()).collect();
             if !missed.is_empty() {
                 self.finder.look_back(&frame.image, &missed, &mut found)?;
-                found.retain(is_sound);
+                // One that moves fast may be seen already, farther away.
+                let is_new = |hand: &Sighting| {
+                    let same = |seen: &Sighting| hand.region.overlap(&seen.region) > SAME_REGION;
+                    !hands.iter().any(|seen| seen.presence > 0.0 && same(seen))
+                };
+                found.retain(|hand| is_sound(hand) && is_new(hand));
                 // In the place of those that were kept where they had been.
                 let own = |held: &Sighting| {
                     found.iter().any(|hand| hand.region.overlap(&held.region) > SAME_REGION)
@@ -351,10 +362,7 @@ impl Known {
 
 /// Palm or back, of a hand of this side.
 fn view_of(hand: &Sighting, side: Side) -> View {
-    let from = |k: usize| [0, 1].map(|c| hand.points[k][c] - hand.points[0][c]);
-    let (index, little) = (from(5), from(17));
-    // y points down: negative means that the index finger is clockwise from the little one, on the right.
-    View::of(side, index[0] * little[1] - index[1] * little[0] < 0.0)
+    View::of_joints(&hand.points, side).0
 }
 
 /// The joints of the bones by which a finger is straight or not: the thumb's last two, all three of the others.

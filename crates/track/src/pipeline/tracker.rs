@@ -13,7 +13,8 @@ use handcast_vision::Segmenter;
 ///
 /// Poses come late where they must: the colours of skin are learnt from the first
 /// [`ClipOptions::learning_frames`] frames, anew every so many while no hand is found, and a hand is tracked once it has
-/// been seen open, from there back to the first frame and forwards; of one hand of which neither side nor view is told up to
+/// been seen open, from there back to the first frame and forwards; where a finder looks for hands these frames are the newest ones
+/// until it has seen one; of one hand of which neither side nor view is told up to
 /// [`ContestTuning::undecided`](super::ContestTuning::undecided) frames more are waited for, to see which it is. After
 /// that each frame gives its poses at once. Frames are kept only until then, at most [`ClipOptions::max_lead_in`] of
 /// them before the hand opens; however many come, nothing else grows. All work is done in the calls, on the thread

@@ -30,6 +30,9 @@ tuning! {
         /// The same of the PIP joints of such fingers.
         ["hand lengths", "errors of MediaPipe's joints there: 4 %"]
         pub folded_deviation: f64 = 0.04,
+        /// Least sine of the angle between the outer knuckles, seen from the wrist, of a hand whose back is seen.
+        ["1", "chosen: a third of that of a hand that faces the camera"]
+        pub facing: f64 = 0.15,
         /// Distance at which a joint counts as an outlier (Geman & McClure 1985).
         ["hand lengths", "chosen by eye: a finger taken for its neighbour"]
         pub outlier: f64 = 0.12,
@@ -88,14 +91,12 @@ impl LandmarkTuning {
 /// little.
 fn deviations(seen: &JointPlaces, side: Side, tuning: &LandmarkTuning) -> [f64; JOINTS] {
     let mut deviations = [tuning.deviation; JOINTS];
-    let from = |a: usize, b: usize| [0, 1].map(|k| seen[b][k] - seen[a][k]);
-    let along = |[x, y]: [f64; 2], [u, v]: [f64; 2]| x * u + y * v;
-    let (index, little) = (from(0, 5), from(0, 17));
-    // y points down.
-    let thumb_right = index[0] * little[1] - index[1] * little[0] < 0.0;
-    if View::of(side, thumb_right) == View::Palm {
+    let (view, sine) = View::of_joints(seen, side);
+    if view == View::Palm || sine < tuning.facing {
         return deviations;
     }
+    let from = |a: usize, b: usize| [0, 1].map(|k| seen[b][k] - seen[a][k]);
+    let along = |[x, y]: [f64; 2], [u, v]: [f64; 2]| x * u + y * v;
     let ahead = from(0, 9);
     for knuckle in KNUCKLES {
         let [pip, dip, tip] = [knuckle + 1, knuckle + 2, knuckle + 3];
@@ -276,6 +277,28 @@ mod tests {
     use super::super::testing::open;
     use super::*;
     use handcast_hand::Morphology;
+
+    #[test]
+    fn joints_behind_the_palm_are_believed_less() {
+        let t = LandmarkTuning::default();
+        let model = HandModel::new(&Morphology::default(), Side::Right);
+        let mut state = open().state;
+        let index = Finger::Index;
+        let seen = |state: &ModelState| Landmarks::new(t).places(&model, state);
+        // The other hand seen so shows its back.
+        for side in [Side::Right, Side::Left] {
+            assert_eq!(deviations(&seen(&state), side, &t), [t.deviation; JOINTS]);
+        }
+        (state.free[index.free_base()], state.free[index.free_outer()]) = (1.5, 1.7);
+        assert_eq!(deviations(&seen(&state), Side::Right, &t), [t.deviation; JOINTS]);
+        let mut expected = [t.deviation; JOINTS];
+        (expected[6], expected[7], expected[8]) =
+            (t.folded_deviation, t.hidden_deviation, t.hidden_deviation);
+        assert_eq!(deviations(&seen(&state), Side::Left, &t), expected);
+        // Its edge shows neither.
+        let edge = seen(&state).map(|[x, y]| [0.05 * x, y]);
+        assert_eq!(deviations(&edge, Side::Left, &t), [t.deviation; JOINTS]);
+    }
 
     #[test]
     fn knuckles_move_as_their_derivatives_say() {
