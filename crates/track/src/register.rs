@@ -70,12 +70,8 @@ impl Turn {
 pub(super) struct Progress {
     /// Mean cost of the last frames.
     mean_cost: Option<f64>,
-    /// Cost of the last one.
-    last_cost: Option<f64>,
-    /// Frames in a row in which nothing moved.
-    rested: usize,
-    /// Frames in which other hypotheses were tried.
-    turn: usize,
+    /// Frames registered.
+    frame: usize,
 }
 
 /// Registers a model on evidence. Holds the buffers, so that it allocates nothing once they have grown.
@@ -117,8 +113,10 @@ impl Registration {
         self.compared = true;
     }
 
-    /// Moves `state`, the last one, to where model and evidence agree best: from the predicted state, and from others
-    /// (`try_others`), but only in some frames while nothing moves.
+    /// Moves `state`, the last one, to where model and evidence agree best: from the predicted state, from the same with
+    /// fingers in other postures, and from what was found with a finger folded more or less; and, in turns while the
+    /// frame costs no more than the last ones, from the last state, from a thumb bent across the palm, from hands whose
+    /// fingers close together, and from known postures with similar silhouettes.
     pub fn register(
         &mut self,
         model: &mut HandModel,
@@ -146,25 +144,16 @@ impl Registration {
         if let Some(other) = other {
             self.solver.try_hypothesis(scene, other, (state, &mut best), 0.0);
         }
-        let explained = self.progress.last_cost.is_some_and(|cost| best.cost < cost + t.as_before);
-        let rests = explained && state.largest_change(&last) < t.rests;
-        self.progress.rested = if rests { self.progress.rested + 1 } else { 0 };
-        if self.progress.rested.is_multiple_of(t.rests_every.max(1)) {
-            self.try_others(scene, (&last, &first), (state, &mut best));
-        }
+        self.try_others(scene, (&last, &first), (state, &mut best));
         if self.compared {
             self.solver.finish(scene, (state, &mut best));
         }
-        self.progress.last_cost = Some(best.cost);
         let mean = self.progress.mean_cost.get_or_insert(best.cost);
         *mean += if best.cost < *mean { t.mean_falls } else { t.mean_rises } * (best.cost - *mean);
         best
     }
 
-    /// Searches from the predicted state with fingers in other postures, and from what was found with a finger folded more or
-    /// less; and, in turns while the frame costs no more than the last ones, from the `last` state, from a thumb bent across
-    /// the palm, from hands whose fingers close together, and from known postures with similar silhouettes. `first` are the
-    /// normal equations around the predicted state.
+    /// The search from all but the predicted state, `first` being the normal equations around that, and `last` the last one.
     fn try_others(
         &mut self,
         scene: &mut Scene<'_>,
@@ -175,8 +164,8 @@ impl Registration {
         let t = solver.tuning.hypotheses;
         let predicted = scene.prior.predicted;
         let unlikely = progress.mean_cost.is_none_or(|mean| best.cost > mean + t.unlikely_beyond);
-        progress.turn += 1;
-        let turn = Turn::of(progress.turn);
+        progress.frame += 1;
+        let turn = Turn::of(progress.frame);
         let due = |hypotheses: Turn| unlikely || turn == hypotheses;
         let moves = |place: usize| (last.free[place] - predicted.free[place]).abs() > t.moving;
         if due(Turn::LastState) && (0..FREE_ANGLES).any(moves) {
@@ -186,7 +175,7 @@ impl Registration {
             solver.try_hypothesis(scene, bent, (state, best), 0.0);
         }
         for (k, finger) in Finger::LONG.into_iter().enumerate() {
-            if unlikely || finger.range().any(moves) || progress.turn % Finger::LONG.len() == k {
+            if unlikely || finger.range().any(moves) || progress.frame % Finger::LONG.len() == k {
                 hypotheses::try_folded(solver, scene, finger, (state, best));
             }
         }
@@ -214,9 +203,9 @@ impl Registration {
         self.progress = to;
     }
 
-    /// Forgets what frames cost and what the hand looked like: every hypothesis is tried on the next one.
+    /// Forgets the mean cost and what the hand looked like: every hypothesis is tried on the next frame.
     pub fn forget(&mut self) {
-        self.progress = Progress { turn: self.progress.turn, ..Progress::default() };
+        self.progress.mean_cost = None;
         self.flow.forget();
     }
 

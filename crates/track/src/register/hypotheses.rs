@@ -21,16 +21,6 @@ tuning! {
         /// soon.
         ["1", "chosen by eye"]
         pub mean_rises: f64 = 0.05,
-        /// Largest change from the last frame, of an angle, of the wrist's place or of the logarithm of the size, while a hand
-        /// rests.
-        ["rad, hand lengths, 1", "spec/registration.md 5, what the speed cost"]
-        pub rests: f64 = 0.05,
-        /// How much more than the last frame one may cost then.
-        ["1", "spec/registration.md 5, what the speed cost: 0.7 % of the overlap"]
-        pub as_before: f64 = 20.0,
-        /// Every how many frames other hypotheses are tried then.
-        ["frames", "spec/registration.md 5, what the speed cost"]
-        pub rests_every: usize = 3,
         /// Predicted change of a joint angle from which on the last state is a hypothesis of its own.
         ["rad", "chosen by eye"]
         pub moving: f64 = 0.05,
