@@ -6,6 +6,8 @@ mod local_colour;
 mod options;
 mod swept;
 
+use std::borrow::Cow;
+
 pub use bars::BarTuning;
 use bars::Bars;
 use field::LikelihoodField;
@@ -259,12 +261,20 @@ pub struct Segmenter {
     model: ColourModel,
     /// At the edges of all pictures.
     bars: Option<Bars>,
+    /// Whether what the colours show has been seen to be what moves.
+    sure: bool,
     /// What is behind a hand that was learnt by its motion, and pictures since that was learnt.
     still: Option<(Box<StillBackground>, usize)>,
     /// Of the frame before.
     wrists: Vec<Wrist>,
     field: LikelihoodField,
+    /// Every second pixel each way, to find where to look.
+    scout: LikelihoodField,
 }
+
+/// How far from what is coloured like skin a picture is looked at, pixels: its outline moves by less, and the colours
+/// around are those of the background there. Regions begin at multiples of it, so that cells of colours stay the same.
+const SURROUNDINGS: u32 = 64;
 
 impl Segmenter {
     /// Learns the colours of skin and of background from pictures of the clip, a dozen or two spread over it.
@@ -276,11 +286,19 @@ impl Segmenter {
     /// No picture shows anything like a hand; one is less than 16 pixels wide or high;
     /// [`SegmentOptions::max_side`] is below 64.
     pub fn learn(samples: &[RgbImage], options: SegmentOptions) -> Result<Self, VisionError> {
-        let small = Self::for_learning(samples, &options)?;
-        let initial = ColourModel::initial(&small, &options.colour)
-            .ok_or_else(|| over_exposed(&small, "nothing in the clip has the hue of skin"))?;
+        Self::learnt(&Self::for_learning(samples, &options)?, samples, options)
+    }
+
+    /// As [`Segmenter::learn`], with the pictures at the size for learning.
+    fn learnt(
+        small: &[RgbImage],
+        samples: &[RgbImage],
+        options: SegmentOptions,
+    ) -> Result<Self, VisionError> {
+        let initial = ColourModel::initial(small, &options.colour)
+            .ok_or_else(|| over_exposed(small, "nothing in the clip has the hue of skin"))?;
         // The threshold may miss skin in strong or coloured light.
-        Ok(Self::refined(&small, initial, &Counts::new(), true, options)?.with_bars(samples))
+        Ok(Self::refined(small, initial, &Counts::new(), true, options)?.with_bars(samples))
     }
 
     /// As [`Segmenter::learn`], from pictures in order of time of a camera that may stand still: where much is coloured
@@ -291,7 +309,7 @@ impl Segmenter {
     /// As [`Segmenter::learn`].
     pub fn learn_clip(samples: &[RgbImage], options: SegmentOptions) -> Result<Self, VisionError> {
         let small = Self::for_learning(samples, &options)?;
-        let by_colour = Self::learn(samples, options);
+        let by_colour = Self::learnt(&small, samples, options);
         let t = &options.swept;
         let Some(swept) = Motion::of(&small, t).swept() else { return by_colour };
         let agree = by_colour.as_ref().map_or(0.0, |by_colour| by_colour.agreement(&swept, &small));
@@ -302,45 +320,61 @@ impl Segmenter {
         let by_motion = Self::by_motion((&small, &full), &swept, options).with_bars(samples);
         // What hardly moves is no hand, open or not.
         let coloured = match &by_colour {
-            Ok(by_colour) if agree >= t.tell_nothing => by_colour.clone().times_open(&full, None, usize::MAX),
+            Ok(by_colour) if agree >= t.tell_nothing => {
+                by_colour.clone().times_open(&full, None, (t.least_open, usize::MAX))
+            }
             _ => 0,
         };
         let enough = t.least_open.max(coloured);
-        if by_motion.clone().times_open(&full, None, enough) == enough { Ok(by_motion) } else { by_colour }
+        let open = by_motion.clone().times_open(&full, None, (enough, enough));
+        if open >= enough { Ok(by_motion) } else { by_colour }
     }
 
-    /// As [`Segmenter::learn_clip`], from pictures of which no hand has come so far: one may have come in. `None` where
-    /// nothing moves before a camera that stands still, or where too few pictures show an open hand that moves. Of a
-    /// camera that moves itself, colours tell, if they may do so `alone`.
+    /// As [`Segmenter::learn_clip`], from pictures of which no hand has come so far: one may have come in. `found` is what
+    /// these colours show in each of them, where nothing speaks against them. `None` where nothing moves before a camera that stands still, where
+    /// `found` is what moves, or where too few pictures show an open hand that moves. Of a camera that moves itself, colours
+    /// tell, if they may do so `alone`.
     ///
     /// # Errors
     /// A picture is less than 16 pixels wide or high; [`SegmentOptions::max_side`] is below 64.
     pub fn learn_entrance(
+        &mut self,
         samples: &[RgbImage],
+        found: Option<&[Mask]>,
         alone: bool,
-        options: SegmentOptions,
     ) -> Result<Option<Self>, VisionError> {
+        let options = self.options;
         let small = Self::for_learning(samples, &options)?;
         let t = &options.swept;
         let swept = match Motion::of(&small, t) {
+            Motion::Swept(swept) if self.shows(&swept, found) => return Ok(None),
             Motion::Swept(swept) => Some(swept),
             Motion::Everywhere if alone => None,
             Motion::None | Motion::Everywhere => return Ok(None),
         };
         let full: Vec<RgbImage> = samples.iter().map(|s| shrunk(s, options.max_side)).collect();
-        let by_colour = Self::learn(samples, options).ok();
+        let by_colour = Self::learnt(&small, samples, options).ok();
         let by_motion =
             swept.as_ref().map(|s| Self::by_motion((&small, &full), s, options).with_bars(samples));
-        // How often is asked only to tell two apart.
-        let enough = if by_colour.is_some() && by_motion.is_some() { full.len() } else { t.least_open };
         let (mut best, mut most) = (None, t.least_open.saturating_sub(1));
-        for learnt in [by_colour, by_motion].into_iter().flatten() {
-            let open = learnt.clone().times_open(&full, swept.as_ref(), enough);
+        let mut learnt = [by_colour, by_motion].into_iter().flatten().peekable();
+        while let Some(these) = learnt.next() {
+            // How often is asked only to tell two apart.
+            let enough = if learnt.peek().is_some() { full.len() } else { most + 1 };
+            let open = these.clone().times_open(&full, swept.as_ref(), (most + 1, enough));
             if open > most {
-                (best, most) = (Some(learnt), open);
+                (best, most) = (Some(these), open);
             }
         }
         Ok(best)
+    }
+
+    /// Whether what was found by these colours is what moves: all of that was found once, and most of what was found has moved
+    /// in these pictures, or had in earlier ones.
+    fn shows(&mut self, swept: &Swept, found: Option<&[Mask]>) -> bool {
+        let [moved, shown] = found.map_or([0.0; 2], |found| swept.agreement(found));
+        self.sure = found.is_some() && (self.sure || moved >= self.options.swept.agree);
+        self.sure && shown >= self.options.swept.agree
     }
 
     /// How much of what is coloured like skin was swept over, 0 to 1.
@@ -358,19 +392,38 @@ impl Segmenter {
     fn by_motion(pictures: (&[RgbImage], &[RgbImage]), swept: &Swept, options: SegmentOptions) -> Self {
         let (model, still) = swept::learn(pictures, swept, &options.swept, &options.colour);
         let (field, still) = (LikelihoodField::default(), Some((Box::new(still), 0)));
-        Self { options, model, bars: None, still, wrists: Vec::new(), field }
+        Self {
+            options,
+            model,
+            bars: None,
+            sure: false,
+            still,
+            wrists: Vec::new(),
+            field,
+            scout: LikelihoodField::default(),
+        }
     }
 
-    /// In how many pictures a part is an open hand, of parts that moved where that is known, counted up to `enough`.
-    fn times_open(mut self, pictures: &[RgbImage], swept: Option<&Swept>, enough: usize) -> usize {
-        let least = self.options.swept.agree;
-        let moved = |part: &Silhouette| swept.is_none_or(|swept| swept.covers(&part.hand) >= least);
-        let mut open = |picture: &&RgbImage| {
+    /// In how many pictures a part is an open hand, of parts that moved where that is known: counted up to `enough`, and no
+    /// further where there cannot be `least` of them.
+    fn times_open(
+        mut self,
+        pictures: &[RgbImage],
+        swept: Option<&Swept>,
+        (least, enough): (usize, usize),
+    ) -> usize {
+        let share = self.options.swept.agree;
+        let moved = |part: &Silhouette| swept.is_none_or(|swept| swept.covers(&part.hand) >= share);
+        let mut open = 0;
+        for (i, picture) in pictures.iter().enumerate() {
+            if open >= enough || open + pictures.len() - i < least {
+                break;
+            }
             let parts = self.segment_all(picture).unwrap_or_default();
             let is_open = |part: &Silhouette| find_parts(part, None, &self.options.parts).is_ok();
-            parts.iter().any(|part| moved(part) && is_open(part))
-        };
-        pictures.iter().filter(|picture| open(picture)).take(enough).count()
+            open += usize::from(parts.iter().any(|part| moved(part) && is_open(part)));
+        }
+        open
     }
 
     /// As [`Segmenter::learn`], beginning with the colours of a piece of skin: every pixel of `skin` counts.
@@ -455,7 +508,16 @@ impl Segmenter {
             model = ColourModel::from_counts(&skin, &background, conservative, &options.colour);
         }
         let field = LikelihoodField::default();
-        Ok(Self { options, model, bars: None, still: None, wrists: Vec::new(), field })
+        Ok(Self {
+            options,
+            model,
+            bars: None,
+            sure: false,
+            still: None,
+            wrists: Vec::new(),
+            field,
+            scout: LikelihoodField::default(),
+        })
     }
 
     /// Knows the bars at the edges of pictures of the clip.
@@ -463,9 +525,10 @@ impl Segmenter {
         Self { bars: Bars::of(samples, &self.options.bars), ..self }
     }
 
-    /// What is coloured like skin in the last picture, bars left out, and where they leave the film.
-    fn coarse(&self) -> (Mask, Option<PixelRect>) {
-        let coarse = self.field.coarse();
+    /// What is coloured like skin in the last picture, of which `region` was loaded, bars left out, and where they leave the
+    /// film.
+    fn coarse(&self, region: PixelRect, size: (u32, u32)) -> (Mask, Option<PixelRect>) {
+        let coarse = self.field.coarse().placed(region, size);
         match self.bars.and_then(|bars| bars.beside(&coarse, &self.options.bars)) {
             Some(frame) => (coarse.cropped(frame).placed(frame, coarse.size()), Some(frame)),
             None => (coarse, None),
@@ -485,8 +548,10 @@ impl Segmenter {
     /// # Errors
     /// There is no hand, or more than one, or the picture is less than 16 pixels wide or high.
     pub fn segment(&mut self, image: &RgbImage) -> Result<Silhouette, VisionError> {
-        self.load(image)?;
-        let (coarse, frame) = self.coarse();
+        let image = self.sized(image)?;
+        let whole = whole(image.dimensions());
+        self.load(&image, whole);
+        let (coarse, frame) = self.coarse(whole, image.dimensions());
         let coarse = single_part(&coarse, &self.options)?;
         let arm = largest_component(&self.field.refine(&coarse, &self.options.outline));
         let silhouette = self.cut(arm, frame, self.wrists.first());
@@ -501,12 +566,16 @@ impl Segmenter {
     /// # Errors
     /// There is no such part, or the picture is less than 16 pixels wide or high.
     pub fn segment_all(&mut self, image: &RgbImage) -> Result<Vec<Silhouette>, VisionError> {
-        self.load(image)?;
-        let (coarse, frame) = self.coarse();
+        let image = &*self.sized(image)?;
+        let size = image.dimensions();
+        let region = self.region(image);
+        self.load(image, region);
+        let (coarse, frame) = self.coarse(region, size);
         let coarse = large_parts(&coarse, &self.options)?;
-        let mut all = Mask::new(self.field.width(), self.field.height());
+        let mut all = Mask::new(size.0, size.1);
         coarse.iter().for_each(|part| all.union_with(part));
-        let arms = large_parts(&self.field.refine(&all, &self.options.outline), &self.options)?;
+        let refined = self.field.refine(&all.cropped(region), &self.options.outline);
+        let arms = large_parts(&refined.placed(region, size), &self.options)?;
         let alone = arms.len() == 1 && self.wrists.len() == 1;
         let before = std::mem::take(&mut self.wrists);
         let mut found = Vec::with_capacity(arms.len());
@@ -525,9 +594,7 @@ impl Segmenter {
     fn learn_behind(&mut self, image: &RgbImage, found: &[Silhouette]) {
         let Some((still, since)) = &mut self.still else { return };
         *since += 1;
-        if *since < self.options.swept.learn_every
-            || image.dimensions() != (self.field.width(), self.field.height())
-        {
+        if *since < self.options.swept.learn_every {
             return;
         }
         *since = 0;
@@ -536,27 +603,64 @@ impl Segmenter {
         still.learn(image, &dilate(&covered, self.options.swept.margin));
     }
 
-    /// Loads a picture at the analysis size.
-    fn load(&mut self, image: &RgbImage) -> Result<(), VisionError> {
+    /// A picture at the analysis size.
+    fn sized<'a>(&self, image: &'a RgbImage) -> Result<Cow<'a, RgbImage>, VisionError> {
         check_size(image.dimensions())?;
         let (w, h) = image.dimensions();
         let target = fit_within(w, h, Some(self.options.max_side));
-        if target == (w, h) {
-            self.load_sized(image);
-        } else {
-            self.load_sized(&resized(image, target));
-        }
-        Ok(())
+        Ok(if target == (w, h) { Cow::Borrowed(image) } else { Cow::Owned(resized(image, target)) })
     }
 
-    /// Loads a picture of the analysis size.
-    fn load_sized(&mut self, image: &RgbImage) {
+    /// Where a picture of the analysis size may show hands, with their surroundings: round all that is coloured like skin and
+    /// half as large as it must be, in every second pixel each way.
+    fn region(&mut self, image: &RgbImage) -> PixelRect {
+        let whole = whole(image.dimensions());
         let (model, limit) = (&self.model, self.options.swept.colour);
-        let Some((still, _)) = &self.still else { return self.field.load(image, model) };
-        self.field.load_with(image, |y, row, ratios| {
+        let still = self.still.as_ref().map(|(still, _)| still);
+        self.scout.load_with(&halved(image), |y, row, ratios| {
             let start = ratios.len();
-            ratios.extend(row.ycc.iter().map(|&ycc| limited(model.ratio(cell(ycc)), limit)));
-            still.row(0, y).add_ratios(row.rgb, ratios.get_mut(start..).unwrap_or(&mut []));
+            match still {
+                None => ratios.extend(row.ycc.iter().map(|&ycc| model.ratio(cell(ycc)))),
+                Some(still) => {
+                    ratios.extend(row.ycc.iter().map(|&ycc| limited(model.ratio(cell(ycc)), limit)));
+                    let behind = still.row(0, 2 * y).every(2);
+                    behind.add_ratios(row.rgb, ratios.get_mut(start..).unwrap_or(&mut []));
+                }
+            }
+        });
+        let skin = self.scout.coarse();
+        let parts = Components::of(&skin, true);
+        let area = |i: usize| f64::from(parts.list[i].area);
+        let Some(largest) = parts.largest() else { return whole };
+        let share = self.options.min_area * f64::from(skin.width()) * f64::from(skin.height());
+        let least = 0.5 * share.max(self.options.min_relative_area * area(largest));
+        let mut large = Mask::new(skin.width(), skin.height());
+        parts.draw(&mut large, |_, part| f64::from(part.area) >= least);
+        let Some(bounds) = large.bounds() else { return whole };
+        let from = |v: u32| (2 * v).saturating_sub(SURROUNDINGS) / SURROUNDINGS * SURROUNDINGS;
+        let to = |v: u32, most: u32| (2 * v + SURROUNDINGS).next_multiple_of(SURROUNDINGS).min(most);
+        PixelRect {
+            x0: from(bounds.x0),
+            y0: from(bounds.y0),
+            x1: to(bounds.x1, whole.x1),
+            y1: to(bounds.y1, whole.y1),
+        }
+    }
+
+    /// Loads a region of a picture of the analysis size.
+    fn load(&mut self, image: &RgbImage, region: PixelRect) {
+        let (model, limit) = (&self.model, self.options.swept.colour);
+        let still = self.still.as_ref().map(|(still, _)| still);
+        self.field.load_region(image, region, |y, row, ratios| {
+            let start = ratios.len();
+            match still {
+                None => ratios.extend(row.ycc.iter().map(|&ycc| model.ratio(cell(ycc)))),
+                Some(still) => {
+                    ratios.extend(row.ycc.iter().map(|&ycc| limited(model.ratio(cell(ycc)), limit)));
+                    let behind = still.row(region.x0, region.y0 + y);
+                    behind.add_ratios(row.rgb, ratios.get_mut(start..).unwrap_or(&mut []));
+                }
+            }
         });
     }
 
@@ -565,16 +669,32 @@ impl Segmenter {
         self.wrists.clear();
     }
 
-    /// Posterior probability of skin for each pixel of the last picture, 0..=255 at the analysis size, where skin
+    /// Posterior probability of skin for each pixel of the last picture of [`Segmenter::segment`], 0..=255 at the analysis size, where skin
     /// and background have the same prior.
     pub fn posterior(&self) -> GrayImage {
         self.field.posterior()
     }
 
-    /// The pixels of the last picture whose posterior is above one half, at the analysis size.
+    /// The pixels of the last picture of [`Segmenter::segment`] whose posterior is above one half, at the analysis size.
     pub fn skin_mask(&self) -> Mask {
         self.field.coarse()
     }
+}
+
+fn whole((x1, y1): (u32, u32)) -> PixelRect {
+    PixelRect { x0: 0, y0: 0, x1, y1 }
+}
+
+/// Every second pixel each way.
+fn halved(image: &RgbImage) -> RgbImage {
+    let [width, height] = [image.width(), image.height()].map(|side| side.div_ceil(2));
+    let mut out = RgbImage::new(width, height);
+    let rows = image.as_raw().as_chunks::<3>().0.chunks(image.width().max(1) as usize).step_by(2);
+    let halved = out.as_chunks_mut::<3>().0.chunks_mut(width.max(1) as usize);
+    for (row, halved) in rows.zip(halved) {
+        halved.iter_mut().zip(row.iter().step_by(2)).for_each(|(half, pixel)| *half = *pixel);
+    }
+    out
 }
 
 fn no_hand(what: &str) -> VisionError {

@@ -13,7 +13,7 @@ use super::{ClipError, ClipOptions, StartTuning};
 use handcast_media::Frame;
 use handcast_picture::Shrinker;
 use handcast_vision::sighting::Sighting;
-use handcast_vision::{Segmenter, Silhouette, VisionError};
+use handcast_vision::{Mask, Segmenter, Silhouette, VisionError};
 
 /// A frame at the analysis size and the silhouettes in it.
 pub(super) struct Segmented {
@@ -35,6 +35,8 @@ pub(super) enum Search {
     Open,
     /// Nothing did.
     InVain,
+    /// What did is no hand.
+    Refuted,
     /// Hands have been found.
     Over,
 }
@@ -58,20 +60,26 @@ pub(super) trait Seeker {
     ) -> Result<Option<Box<Segmenter>>, Self::Error>;
 }
 
-/// Pictures of the last frames, from which colours are learnt anew while the search for hands is in vain.
+/// Some of the last frames, from which colours are learnt anew while the search for hands is in vain.
 #[derive(Default)]
 struct Recent {
     pictures: VecDeque<RgbImage>,
+    /// What was found in each.
+    found: VecDeque<Mask>,
     /// Frames since colours were learnt.
     frames: usize,
 }
 
 impl Recent {
-    fn add(&mut self, picture: RgbImage, most: usize) {
-        while self.pictures.len() >= most.max(1) {
-            self.pictures.pop_front();
-        }
-        self.pictures.push_back(picture);
+    /// Adds a picture and what was found in it, and forgets all but the `most` newest.
+    fn add(&mut self, picture: &RgbImage, parts: &Result<Vec<Silhouette>, VisionError>, most: usize) {
+        let mut found = Mask::new(picture.width(), picture.height());
+        parts.iter().flatten().for_each(|part| found.union_with(&part.arm));
+        self.pictures.push_back(picture.clone());
+        self.found.push_back(found);
+        let over = self.pictures.len().saturating_sub(most.max(1));
+        self.pictures.drain(..over);
+        self.found.drain(..over);
     }
 }
 
@@ -168,7 +176,7 @@ impl Silhouettes {
                 if let Some(recent) = &mut self.recent {
                     recent.frames += 1;
                     if frame.index.is_multiple_of(stride(self.options.learning_frames, start)) {
-                        recent.add(frame.image.clone(), start.remembered);
+                        recent.add(&frame.image, &parts, start.remembered);
                     }
                 }
                 self.hand_over(frame, parts, begun, next)?;
@@ -250,12 +258,9 @@ impl Silhouettes {
         let begun = Instant::now();
         let waiting = std::mem::take(first);
         let start = &self.options.tuning.start;
-        let stride = stride(waiting.len(), start);
+        let (stride, remembered) = (stride(waiting.len(), start), start.remembered);
         let samples: Vec<RgbImage> = waiting.iter().step_by(stride).map(|f| f.image.clone()).collect();
         let learnt = Segmenter::learn_clip(&samples, self.options.segment);
-        if let Some(recent) = &mut self.recent {
-            samples.into_iter().for_each(|sample| recent.add(sample, start.remembered));
-        }
         self.time += begun.elapsed();
         let mut segmenter = match learnt {
             Ok(segmenter) => Box::new(segmenter),
@@ -267,15 +272,21 @@ impl Silhouettes {
             }
             Err(reason) => {
                 self.untaught = Some(reason.clone());
-                for frame in waiting {
+                for (i, frame) in waiting.into_iter().enumerate() {
+                    if let Some(recent) = self.recent.as_mut().filter(|_| i.is_multiple_of(stride)) {
+                        recent.add(&frame.image, &Err(reason.clone()), remembered);
+                    }
                     self.hand_over(frame, Err(reason.clone()), Instant::now(), next)?;
                 }
                 return Ok(());
             }
         };
-        for frame in waiting {
+        for (i, frame) in waiting.into_iter().enumerate() {
             let begun = Instant::now();
             let parts = segmenter.segment_all(&frame.image);
+            if let Some(recent) = self.recent.as_mut().filter(|_| i.is_multiple_of(stride)) {
+                recent.add(&frame.image, &parts, remembered);
+            }
             self.hand_over(frame, parts, begun, next)?;
         }
         self.way = Way::Colour(segmenter);
@@ -293,17 +304,22 @@ impl Silhouettes {
         match next.search(last)? {
             Search::Over => self.recent = None,
             Search::Open => {}
-            Search::InVain => {
+            search @ (Search::InVain | Search::Refuted) => {
                 recent.frames = 0;
                 let start = &self.options.tuning.start;
                 let span = start.remembered * stride(self.options.learning_frames, start);
                 let since = self.frames.saturating_sub(span);
-                let pictures = recent.pictures.make_contiguous();
+                let (pictures, found) =
+                    (&*recent.pictures.make_contiguous(), &*recent.found.make_contiguous());
                 // The camera may have been put up since the first of them.
-                let newest = pictures.get(pictures.len().saturating_sub(start.learnt)..).unwrap_or(&[]);
-                for (pictures, alone) in [(&*pictures, false), (newest, true)] {
+                let newest = pictures.len().saturating_sub(start.learnt);
+                let all = (newest > 0).then_some((0, false));
+                for (from, alone) in all.into_iter().chain([(newest, true)]) {
                     let begun = Instant::now();
-                    let learnt = Segmenter::learn_entrance(pictures, alone, self.options.segment);
+                    let (pictures, found) = (&pictures[from..], &found[from..]);
+                    // Colours by which something opens that is none may show too much.
+                    let found = (search == Search::InVain).then_some(found);
+                    let learnt = segmenter.learn_entrance(pictures, found, alone);
                     self.time += begun.elapsed();
                     // That nothing can be learnt is no news: the search was in vain.
                     let Ok(Some(learnt)) = learnt else { continue };

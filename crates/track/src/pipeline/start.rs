@@ -17,14 +17,15 @@ use handcast_hand::Side;
 use handcast_vision::sighting::Sighting;
 use handcast_vision::{Mask, PartsError, Segmenter, Silhouette, VisionError, Wrist, find_parts};
 
-/// JPEG quality of pictures that are kept.
+/// Bytes of the newest pictures, which are kept as they are: six seconds of 640 × 360 pixels, more than hands mostly take.
+const WHOLE: usize = 128 << 20;
+/// JPEG quality of the older ones.
 const QUALITY: u8 = 88;
 
 /// A picture that is kept.
 enum Kept {
+    Whole(RgbImage),
     Jpeg(Vec<u8>),
-    /// Of a frame that would have been tracked as it came, so that waiting does not change its poses.
-    Whole(Box<RgbImage>),
 }
 
 /// A frame that waits for the fit.
@@ -42,25 +43,22 @@ pub(super) struct Waiting {
 }
 
 impl Waiting {
-    fn new(
-        segmented: Segmented,
-        links: Vec<Link>,
-        known: Vec<Known>,
-        whole: bool,
-    ) -> Result<Self, ClipError> {
+    fn new(segmented: Segmented, links: Vec<Link>, known: Vec<Known>) -> Self {
         let Segmented { frame, parts, sightings, spent, .. } = segmented;
         let sightings = sightings.unwrap_or_default();
-        let (index, time) = (frame.index, frame.time);
-        let picture = if whole {
-            Kept::Whole(Box::new(frame.image))
-        } else {
-            let mut jpeg = Vec::new();
-            image::codecs::jpeg::JpegEncoder::new_with_quality(&mut jpeg, QUALITY)
-                .encode_image(&frame.image)
-                .map_err(|error| ClipError::Keep { index, what: error.to_string() })?;
-            Kept::Jpeg(jpeg)
-        };
-        Ok(Self { index, time, picture, parts, links, sightings, known, segment: spent })
+        let picture = Kept::Whole(frame.image);
+        Self { index: frame.index, time: frame.time, picture, parts, links, sightings, known, segment: spent }
+    }
+
+    /// Compresses the picture.
+    fn compress(&mut self) -> Result<(), ClipError> {
+        let Kept::Whole(image) = &self.picture else { return Ok(()) };
+        let mut jpeg = Vec::new();
+        image::codecs::jpeg::JpegEncoder::new_with_quality(&mut jpeg, QUALITY)
+            .encode_image(image)
+            .map_err(|error| ClipError::Keep { index: self.index, what: error.to_string() })?;
+        self.picture = Kept::Jpeg(jpeg);
+        Ok(())
     }
 
     /// Forgets the parts on these trails, which are no hands.
@@ -255,7 +253,10 @@ impl Lookout {
         }
         self.view = self.contest.as_ref().and_then(|contest| contest.view(t));
         let opened = self.opened.first().map_or(0, |(_, first)| *first);
-        Ok(self.view.is_some_and(|(_, decided)| decided) || self.waiting.len() >= opened + t.undecided)
+        // A finger that is bent is about to tell.
+        let tells = self.contest.as_ref().is_some_and(|contest| contest.tells(t));
+        let most = t.undecided + if tells { t.telling } else { 0 };
+        Ok(self.view.is_some_and(|(_, decided)| decided) || self.waiting.len() >= opened + most)
     }
 
     /// The contest of the one hand that was open.
@@ -270,7 +271,8 @@ impl Lookout {
         let least = options.tuning.contest.fitted;
         let good = |start: &HandStart| start.fit.as_ref().is_some_and(|fit| fit.iou >= least);
         let all = good(&start) && good(&other);
-        all.then(|| Contest::new(Hand::new(start, trail, options), Hand::new(other, trail, options)))
+        let hand = |start| Hand::new(start, trail, options).compared();
+        all.then(|| Contest::new(hand(start), hand(other)))
     }
 
     /// Goes on with the contest in the next frame.
@@ -314,8 +316,14 @@ impl Lookout {
         if let Err(error) = &segmented.parts {
             self.last_error = Some(error.clone());
         }
-        let whole = self.contest.is_some();
-        self.waiting.push(Waiting::new(segmented, links, known, whole)?);
+        let whole = (WHOLE / segmented.frame.image.len().max(1)).max(1);
+        self.waiting.push(Waiting::new(segmented, links, known));
+        // All before it are compressed already.
+        if let Some(oldest) = self.waiting.len().checked_sub(whole + 1)
+            && let Some(waiting) = self.waiting.get_mut(oldest)
+        {
+            waiting.compress()?;
+        }
         Ok(())
     }
 
@@ -411,7 +419,7 @@ impl Lookout {
         }
         // What waited for other colours begins by these, where no others are learnt.
         (self.doubtful, self.held) = (self.doubtful && !open, false);
-        Search::InVain
+        if open || !self.passed.is_empty() { Search::Refuted } else { Search::InVain }
     }
 
     /// Whether more frames may be waited for where what opened is no hand.
@@ -830,7 +838,7 @@ mod tests {
             lookout.opened.push((1, 20));
             assert_eq!(lookout.may_begin(), !relearns);
             lookout.held = true;
-            assert_eq!(lookout.search(false), Search::InVain);
+            assert_eq!(lookout.search(false), Search::Refuted);
             assert!(lookout.may_begin());
         }
     }

@@ -177,6 +177,21 @@ impl Swept {
         [part.overlap(&self.mask), part.area()].map(f64::from)
     }
 
+    /// How much of what was found in the pictures, one mask for each, was swept over, and how much of what was swept over was
+    /// found once; 0 to 1.
+    pub(super) fn agreement(&self, found: &[Mask]) -> [f64; 2] {
+        let [inside, all] = found.iter().fold([0.0; 2], |[inside, all], part| {
+            let area = f64::from(part.area());
+            [inside + area * self.covers(part), all + area]
+        });
+        let [w, h] = [self.mask.width(), self.mask.height()].map(|side| side.max(1));
+        let once = |&(x, y): &(u32, u32)| {
+            found.iter().any(|part| part.get(x * part.width() / w, y * part.height() / h))
+        };
+        let shown = self.mask.pixels().filter(once).count() as f64;
+        [inside / all.max(1.0), shown / f64::from(self.mask.area().max(1))]
+    }
+
     /// The share of a mask of any size that was swept over, 0 to 1.
     pub(super) fn covers(&self, part: &Mask) -> f64 {
         let size = [part.width(), part.height()].map(|side| side.max(1));
