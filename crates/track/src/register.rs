@@ -167,6 +167,7 @@ impl Registration {
         progress.frame += 1;
         let turn = Turn::of(progress.frame);
         let due = |hypotheses: Turn| unlikely || turn == hypotheses;
+        let sighted = scene.evidence.joints().is_some();
         let moves = |place: usize| (last.free[place] - predicted.free[place]).abs() > t.moving;
         if due(Turn::LastState) && (0..FREE_ANGLES).any(moves) {
             solver.try_hypothesis(scene, last.clone(), (state, best), 0.0);
@@ -175,7 +176,7 @@ impl Registration {
             solver.try_hypothesis(scene, bent, (state, best), 0.0);
         }
         for (k, finger) in Finger::LONG.into_iter().enumerate() {
-            if unlikely || finger.range().any(moves) || progress.frame % Finger::LONG.len() == k {
+            if unlikely || sighted || finger.range().any(moves) || progress.frame % Finger::LONG.len() == k {
                 hypotheses::try_folded(solver, scene, finger, (state, best));
             }
         }

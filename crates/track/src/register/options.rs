@@ -124,6 +124,9 @@ tuning! {
         /// Rounds after which a hypothesis may be given up.
         ["rounds", "spec/registration.md 5, Hypotheses"]
         pub pruned_after: usize = 2,
+        /// The same where a finder sees joints.
+        ["rounds", "spec/registration.md 5, Hypotheses"]
+        pub pruned_after_sighted: usize = 3,
         /// How much more than the best a hypothesis may cost then.
         ["1", "spec/registration.md 5, Hypotheses: by 60 a real fist was read as a tilted open hand"]
         pub pruned_beyond: f64 = 100.0,

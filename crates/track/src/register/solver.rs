@@ -66,7 +66,7 @@ impl Solver {
     }
 
     /// Searches from a hypothesis, and keeps what it finds where that costs less than `best` at `state`, by more than
-    /// `gain`. The search ends early where its first rounds lead to `state`, or nowhere near.
+    /// `gain`. The search ends early where its first rounds lead nowhere near, or to `state` while no finder sees joints.
     pub(super) fn try_hypothesis(
         &mut self,
         scene: &mut Scene<'_>,
@@ -75,14 +75,16 @@ impl Solver {
         gain: f64,
     ) {
         let t = self.tuning.rounds;
-        let first = t.pruned_after.min(t.most);
+        let sighted = scene.evidence.joints().is_some();
+        let first = if sighted { t.pruned_after_sighted } else { t.pruned_after }.min(t.most);
         let settled = self.take_rounds(scene, &mut hypothesis, 0..first, None, false);
-        if first < t.most {
-            let merges = hypothesis.largest_change(state) < t.merged;
+        if first < t.most && !(sighted && gain > 0.0) {
+            let merges = !sighted && hypothesis.largest_change(state) < t.merged;
             if merges || self.score(scene, &hypothesis).cost > best.cost + t.pruned_beyond {
                 return;
             }
         }
+        let settled = settled && (!sighted || gain > 0.0);
         self.take_rounds(scene, &mut hypothesis, first..t.most, None, settled);
         let found = self.score(scene, &hypothesis);
         if found.cost < best.cost - gain {
