@@ -37,10 +37,8 @@ pub use solver::Registered;
 
 use super::evidence::Evidence;
 use super::model::HandModel;
-use super::normal_equations::NormalEquations;
 use super::state::ModelState;
 use flow::FlowTracker;
-use handcast_hand::{FREE_ANGLES, Finger};
 use hypotheses::Hypotheses;
 pub(super) use hypotheses::largest_difference;
 use sizes::Sizes;
@@ -66,11 +64,9 @@ impl Turn {
 }
 
 /// What the frames so far have come to.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug)]
 pub(super) struct Progress {
-    /// Mean cost of the last frames.
     mean_cost: Option<f64>,
-    /// Frames registered.
     frame: usize,
 }
 
@@ -83,9 +79,10 @@ pub struct Registration {
     hypotheses: Hypotheses,
     /// Those of the model, once a hand has been seen.
     sizes: Option<Sizes>,
-    progress: Progress,
-    /// Whether costs are compared with those of another registration.
-    compared: bool,
+    /// Mean cost of the last frames.
+    mean_cost: Option<f64>,
+    /// Frames registered.
+    frame: usize,
 }
 
 impl Registration {
@@ -98,8 +95,8 @@ impl Registration {
             flow: FlowTracker::new(tuning.flow),
             hypotheses: Hypotheses::default(),
             sizes: None,
-            progress: Progress::default(),
-            compared: false,
+            mean_cost: None,
+            frame: 0,
         }
     }
 
@@ -108,13 +105,8 @@ impl Registration {
         self.solver.objective.evaluations()
     }
 
-    /// Lets the costs of frames be compared with those of another registration: each search then goes to its end.
-    pub(super) fn compare(&mut self) {
-        self.compared = true;
-    }
-
     /// Moves `state`, the last one, to where model and evidence agree best: from the predicted state, from the same with
-    /// fingers in other postures, and from what was found with a finger folded more or less; and, in turns while the
+    /// fingers in other postures, and from what was found with one finger folded more or less; and, in turns while the
     /// frame costs no more than the last ones, from the last state, from a thumb bent across the palm, from hands whose
     /// fingers close together, and from known postures with similar silhouettes.
     pub fn register(
@@ -137,76 +129,55 @@ impl Registration {
         other: Option<ModelState>,
     ) -> Registered {
         let scene = &mut Scene { model, evidence, prior };
-        let t = self.solver.tuning.hypotheses;
+        let Self { solver, hypotheses, .. } = self;
+        let t = solver.tuning.hypotheses;
         let last = std::mem::replace(state, prior.predicted.clone());
-        let first = self.solver.linearise(scene, state, 0.0, None);
-        let mut best = self.solver.refine(scene, state, &first);
+        let first = solver.linearise(scene, state, 0.0, None);
+        let mut best = solver.refine(scene, state, 0..solver.tuning.rounds.most, Some(&first));
         if let Some(other) = other {
-            self.solver.try_hypothesis(scene, other, (state, &mut best), 0.0);
+            solver.try_hypothesis(scene, other, state, &mut best);
         }
-        self.try_others(scene, (&last, &first), (state, &mut best));
-        if self.compared {
-            self.solver.finish(scene, (state, &mut best));
+        let unlikely = self.mean_cost.is_none_or(|mean| best.cost > mean + t.unlikely_beyond);
+        self.frame += 1;
+        let turn = Turn::of(self.frame);
+        let due = |hypotheses: Turn| unlikely || turn == hypotheses;
+        if due(Turn::LastState) && largest_difference(&last.free, &prior.predicted.free) > t.moving {
+            solver.try_hypothesis(scene, last, state, &mut best);
         }
-        let mean = self.progress.mean_cost.get_or_insert(best.cost);
+        if let Some(bent) = hypotheses::bent_fingers(solver, scene, prior.predicted, &first) {
+            solver.try_hypothesis(scene, bent, state, &mut best);
+        }
+        hypotheses::try_folded(solver, scene, state, &mut best);
+        if due(Turn::Closing)
+            && let Some(closing) = hypotheses::closing_hand(solver, scene, state, best.rate)
+        {
+            solver.try_hypothesis(scene, closing, state, &mut best);
+        }
+        if due(Turn::LastState) && state.thumb_mcp.abs() > t.thumb_beyond {
+            let thumb = hypotheses::bent_thumb(solver, scene, state);
+            solver.try_hypothesis(scene, thumb, state, &mut best);
+        }
+        if due(Turn::Known) {
+            hypotheses.try_known(solver, scene, state, &mut best);
+        }
+        let mean = self.mean_cost.get_or_insert(best.cost);
         *mean += if best.cost < *mean { t.mean_falls } else { t.mean_rises } * (best.cost - *mean);
         best
     }
 
-    /// The search from all but the predicted state, `first` being the normal equations around that, and `last` the last one.
-    fn try_others(
-        &mut self,
-        scene: &mut Scene<'_>,
-        (last, first): (&ModelState, &NormalEquations),
-        (state, best): (&mut ModelState, &mut Registered),
-    ) {
-        let Self { solver, hypotheses, progress, .. } = self;
-        let t = solver.tuning.hypotheses;
-        let predicted = scene.prior.predicted;
-        let unlikely = progress.mean_cost.is_none_or(|mean| best.cost > mean + t.unlikely_beyond);
-        progress.frame += 1;
-        let turn = Turn::of(progress.frame);
-        let due = |hypotheses: Turn| unlikely || turn == hypotheses;
-        let sighted = scene.evidence.joints().is_some();
-        let moves = |place: usize| (last.free[place] - predicted.free[place]).abs() > t.moving;
-        if due(Turn::LastState) && (0..FREE_ANGLES).any(moves) {
-            solver.try_hypothesis(scene, last.clone(), (state, best), 0.0);
-        }
-        if let Some(bent) = hypotheses::bent_fingers(solver, scene, predicted, first) {
-            solver.try_hypothesis(scene, bent, (state, best), 0.0);
-        }
-        for (k, finger) in Finger::LONG.into_iter().enumerate() {
-            if unlikely || sighted || finger.range().any(moves) || progress.frame % Finger::LONG.len() == k {
-                hypotheses::try_folded(solver, scene, finger, (state, best));
-            }
-        }
-        if due(Turn::Closing)
-            && let Some(closing) = hypotheses::closing_hand(solver, scene, state, best.rate)
-        {
-            solver.try_hypothesis(scene, closing, (state, best), 0.0);
-        }
-        if due(Turn::LastState) && state.thumb_mcp.abs() > t.thumb_beyond {
-            let thumb = hypotheses::bent_thumb(solver, scene, state);
-            solver.try_hypothesis(scene, thumb, (state, best), 0.0);
-        }
-        if due(Turn::Known) {
-            hypotheses.try_known(solver, scene, state, best);
-        }
-    }
-
     /// What the last frames have come to, to be gone back to behind a search that nothing came of.
     pub(super) fn progress(&self) -> Progress {
-        self.progress
+        Progress { mean_cost: self.mean_cost, frame: self.frame }
     }
 
     /// Goes back there.
     pub(super) fn go_back(&mut self, to: Progress) {
-        self.progress = to;
+        (self.mean_cost, self.frame) = (to.mean_cost, to.frame);
     }
 
     /// Forgets the mean cost and what the hand looked like: every hypothesis is tried on the next frame.
     pub fn forget(&mut self) {
-        self.progress.mean_cost = None;
+        self.mean_cost = None;
         self.flow.forget();
     }
 
@@ -279,7 +250,7 @@ impl Registration {
 mod tests {
     use super::testing::open;
     use super::*;
-    use handcast_hand::{Domain, Morphology, Side};
+    use handcast_hand::{Domain, Finger, Morphology, Side};
     use handcast_vision::Mask;
     use nalgebra::UnitQuaternion;
 

@@ -91,21 +91,6 @@ impl ModelState {
         self.thumb_mcp = (tied + self.thumb_mcp).clamp(limits.min, limits.max) - tied;
     }
 
-    /// The largest change from here to `other`: of the wrist's place in hand lengths, of the scale as the logarithm of the
-    /// ratio, of the rotation and the joint angles in radians.
-    pub(super) fn largest_change(&self, other: &Self) -> f64 {
-        let wrist = (self.wrist[0] - other.wrist[0]).hypot(self.wrist[1] - other.wrist[1]);
-        let angles = self.free.iter().zip(&other.free).map(|(a, b)| (a - b).abs());
-        angles
-            .chain([
-                wrist / (HAND_LENGTH * self.scale),
-                (self.scale / other.scale).ln().abs(),
-                self.rotation.angle_to(&other.rotation),
-                (self.thumb_mcp - other.thumb_mcp).abs(),
-            ])
-            .fold(0.0, f64::max)
-    }
-
     /// The state in an image of 1/`factor` of the size.
     #[must_use]
     pub fn reduced(&self, factor: f64) -> Self {

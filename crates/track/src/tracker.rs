@@ -256,11 +256,6 @@ impl HandTracker {
         self.open.behind = Some(0.0);
     }
 
-    /// Lets what frames cost ([`HandTracker::found`]) be compared with what they cost another tracker.
-    pub(super) fn compare(&mut self) {
-        self.registration.compare();
-    }
-
     /// Goes back to the open hand of the fit, to track again from there in the other direction of time.
     pub fn rewind(&mut self) {
         self.open.state.rotation = self.begins_turned;

@@ -56,7 +56,8 @@ const MENUS: [[[f64; 2]; 6]; 4] = [
     [[-0.4, 0.2], [0.4, -0.2], [0.2, -0.4], [-0.2, 0.4], [-0.15, -0.15], [0.15, 0.15]],
 ];
 /// The same for all sections in the end, so that there is less error where windows have room.
-const FINE: [[[f64; 2]; 4]; 2] = [
+const FINE: [[[f64; 2]; 4]; 3] = [
+    [[-0.6, -0.6], [0.6, 0.6], [-0.6, 0.6], [0.6, -0.6]],
     [[-0.3, -0.3], [0.3, 0.3], [-0.3, 0.3], [0.3, -0.3]],
     [[-0.15, -0.15], [0.15, 0.15], [-0.2, 0.2], [0.2, -0.2]],
 ];
@@ -80,8 +81,10 @@ const CHOICES: usize = 4;
 const STRIDE: f64 = 1.0;
 /// Bits that a frame left out counts for.
 const LEFT_OUT: f64 = 1.0;
-/// λ over the squared step of a finger bend at which plans end when any step may be chosen.
-const LAMBDA_PER_STEP: f64 = 0.29;
+/// λ over the squared step of a finger bend at which plans end when any step may be chosen: both are tried for a clip of few
+/// sections, the first for others.
+const LAMBDAS_PER_STEP: [f64; 2] = [0.24, 0.35];
+const FEW: usize = 16;
 /// Share of its bits that a section costs more with another step than that, over the squared logarithm of how many times as
 /// large it is.
 const MISFIT: f64 = 1.0;
@@ -202,7 +205,14 @@ pub(super) fn held(clip: &Clip, options: &PlanOptions, kbit_per_s: f64) -> Resul
         let (stream, report) = plans.write(clip, options)?;
         return Ok(Held { stream, report, plans: Some(plans) });
     }
-    let mut best = planned(clip, options, &windows, kbit_per_s)?;
+    let [usual, other] = LAMBDAS_PER_STEP.map(|per_step| Aim { kbit_per_s, per_step });
+    let mut best = planned(clip, options, &windows, usual)?;
+    if clip.sections().len() <= FEW
+        && let Ok(found) = planned(clip, options, &windows, other)
+        && better(&windows, &found.report, &best.report)
+    {
+        best = found;
+    }
     // Values that lag behind for a moment may be the only way to hold a low rate.
     if let Ok((stream, report)) = write_live(clip, options)
         && better(&windows, &report, &best.report)
@@ -216,14 +226,16 @@ pub(super) fn held(clip: &Clip, options: &PlanOptions, kbit_per_s: f64) -> Resul
     Ok(Held { stream, report, plans })
 }
 
-/// The plans that spend `kbit_per_s` in every window, filled up where there is too little to say.
-fn planned(
-    clip: &Clip,
-    options: &PlanOptions,
-    windows: &Windows,
+/// What plans are to spend, and λ over the squared step of a finger bend that quantisers go by.
+#[derive(Clone, Copy)]
+struct Aim {
     kbit_per_s: f64,
-) -> Result<Held, EncodeError> {
-    let mut plans = Planner::new(clip, options).hold(windows, kbit_per_s)?;
+    per_step: f64,
+}
+
+/// The plans that spend what is aimed at in every window, filled up where there is too little to say.
+fn planned(clip: &Clip, options: &PlanOptions, windows: &Windows, aim: Aim) -> Result<Held, EncodeError> {
+    let mut plans = Planner::new(clip, options).hold(windows, aim)?;
     let (mut stream, mut report) = plans.write(clip, options)?;
     plans.filler = windows.filler(&report.frame_bits);
     if plans.filler.iter().any(|&planes| planes > 0) {
@@ -242,12 +254,12 @@ fn better(windows: &Windows, one: &PlanReport, other: &PlanReport) -> bool {
 }
 
 impl Planner<'_> {
-    /// Plans that spend `kbit_per_s` in every window.
-    fn hold(&mut self, windows: &Windows, kbit_per_s: f64) -> Result<Plans, EncodeError> {
-        let price = (FIRST_LAMBDA / kbit_per_s.powi(3)).clamp(PRICES[0], PRICES[1]).ln();
+    /// Plans that spend what is aimed at in every window.
+    fn hold(&mut self, windows: &Windows, aim: Aim) -> Result<Plans, EncodeError> {
+        let price = (FIRST_LAMBDA / aim.kbit_per_s.powi(3)).clamp(PRICES[0], PRICES[1]).ln();
         let floor = PRICES[0].ln();
         let prices = windows.resting.iter().map(|&rests| if rests { floor } else { price }).collect();
-        let mut last = self.first_attempt(windows, self.by_section(prices))?;
+        let mut last = self.first_attempt(windows, self.by_section(prices), aim)?;
         let mut best = last.clone();
         let mut menu = self.menu(&last);
         let mut responses = vec![Response::default(); self.sections.len()];
@@ -262,7 +274,7 @@ impl Planner<'_> {
             let drifted = settled.is_none_or(|settled| (settled - mean).abs() > DRIFT);
             if (1..=SETTLING).contains(&round) && drifted {
                 (settled, since) = (Some(mean), 0);
-                last = self.settle(windows, last.prices)?;
+                last = self.settle(windows, last.prices, aim)?;
                 best = last.clone();
                 menu = self.menu(&last);
                 responses.iter_mut().for_each(|response| response.last = None);
@@ -306,9 +318,9 @@ impl Planner<'_> {
 
     /// The plans at these prices with quantisers that go with them. From there on sections keep these, and I planes send the
     /// range arrays that they send now, so that what they cost is known.
-    fn settle(&mut self, windows: &Windows, prices: Vec<Prices>) -> Result<Attempt, EncodeError> {
+    fn settle(&mut self, windows: &Windows, prices: Vec<Prices>, aim: Aim) -> Result<Attempt, EncodeError> {
         self.runs = None;
-        let settled = self.first_attempt(windows, prices)?;
+        let settled = self.first_attempt(windows, prices, aim)?;
         self.runs = Some(Arc::new(self.together(&settled.sections).runs(self.clip, self.options)));
         Ok(settled)
     }
@@ -428,9 +440,14 @@ impl Planner<'_> {
     }
 
     /// The plans at these prices, and what they cost, beginning with no others.
-    fn first_attempt(&mut self, windows: &Windows, prices: Vec<Prices>) -> Result<Attempt, EncodeError> {
+    fn first_attempt(
+        &mut self,
+        windows: &Windows,
+        prices: Vec<Prices>,
+        aim: Aim,
+    ) -> Result<Attempt, EncodeError> {
         prices.iter().enumerate().for_each(|(index, prices)| self.weigh(index, prices));
-        let quants = self.quants(windows, &prices);
+        let quants = self.quants(windows, &prices, aim);
         let made = self.each(self.sections.len(), |search, index| {
             self.make(search, index, &prices[index], quants[index])
         })?;
@@ -537,7 +554,7 @@ impl Planner<'_> {
 
     /// The quantiser of each section: one that goes with its prices, or that of the one before where that is not far off, as
     /// another needs all range arrays, which is a leap in what a window costs.
-    fn quants(&self, windows: &Windows, prices: &[Prices]) -> Vec<u8> {
+    fn quants(&self, windows: &Windows, prices: &[Prices], aim: Aim) -> Vec<u8> {
         let steps: Vec<f64> = QUANTS.map(|quant| bend_step(quant, self.options.steps).ln()).collect();
         let arrays = saved_bits(self.options, self.options.sendable(&self.clip.mask(0)).len());
         let change = arrays * (arrays / (LEAP * windows.bits)).powi(2).clamp(LEAPS[0], LEAPS[1]);
@@ -553,7 +570,7 @@ impl Planner<'_> {
                 .map(|(quant, &stay)| if stay > bits + change { best } else { quant });
             others.push(from.collect());
             let mean = prices.iter().sum::<f64>() / prices.len().max(1) as f64;
-            let wanted = 0.5 * (mean - LAMBDA_PER_STEP.ln());
+            let wanted = 0.5 * (mean - aim.per_step.ln());
             for (least, step) in least.iter_mut().zip(&steps) {
                 *least =
                     least.min(bits + change) + MISFIT * frame * prices.len() as f64 * (step - wanted).powi(2);

@@ -62,11 +62,6 @@ impl Contest {
         self.hands.iter().map(Hand::bent).fold(0.0, f64::max)
     }
 
-    /// Whether a finger is bent by so much in either that frames tell something.
-    pub(super) fn tells(&self, tuning: &ContestTuning) -> bool {
-        self.bent() > tuning.bent
-    }
-
     /// Whether the next frame is to be looked at: while no finger bends only some are.
     pub(super) fn is_due(&mut self, tuning: &ContestTuning) -> bool {
         let due = self.wait == 0;
@@ -100,7 +95,7 @@ impl Contest {
         let found = steps.iter().all(|step| step.as_ref().is_some_and(|step| step.tracked.valid));
         let explained = steps.iter().flatten().any(|step| step.tracked.iou >= t.explained);
         if let ([Some(palm), Some(back)], true) = (self.hands.each_ref().map(Hand::found), found && explained)
-            && self.tells(t)
+            && self.bent() > t.bent
         {
             let posture = self.hands.each_ref().map(Hand::free);
             self.odds.add(novelty(&posture, &self.postures, t) * odds_of(&palm, &back, t));

@@ -120,12 +120,6 @@ impl Hand {
         HandStart { morphology: self.tracker.morphology().clone(), ..self.start.clone() }
     }
 
-    /// The same where it is compared with another by what frames cost.
-    pub(super) fn compared(mut self) -> Self {
-        self.tracker.compare();
-        self
-    }
-
     /// Back to where it started, to go in the other direction of time.
     pub(super) fn rewind(&mut self) {
         self.tracker.rewind();

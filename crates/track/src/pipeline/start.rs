@@ -253,10 +253,7 @@ impl Lookout {
         }
         self.view = self.contest.as_ref().and_then(|contest| contest.view(t));
         let opened = self.opened.first().map_or(0, |(_, first)| *first);
-        // A finger that is bent is about to tell.
-        let tells = self.contest.as_ref().is_some_and(|contest| contest.tells(t));
-        let most = t.undecided + if tells { t.telling } else { 0 };
-        Ok(self.view.is_some_and(|(_, decided)| decided) || self.waiting.len() >= opened + most)
+        Ok(self.view.is_some_and(|(_, decided)| decided) || self.waiting.len() >= opened + t.undecided)
     }
 
     /// The contest of the one hand that was open.
@@ -271,8 +268,7 @@ impl Lookout {
         let least = options.tuning.contest.fitted;
         let good = |start: &HandStart| start.fit.as_ref().is_some_and(|fit| fit.iou >= least);
         let all = good(&start) && good(&other);
-        let hand = |start| Hand::new(start, trail, options).compared();
-        all.then(|| Contest::new(hand(start), hand(other)))
+        all.then(|| Contest::new(Hand::new(start, trail, options), Hand::new(other, trail, options)))
     }
 
     /// Goes on with the contest in the next frame.

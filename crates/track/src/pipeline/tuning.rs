@@ -90,9 +90,6 @@ tuning! {
         /// Frames from the first open one on that are waited for a decision; with 0 a palm is assumed at once.
         ["frames", "chosen: three seconds of video"]
         pub undecided: usize = 90,
-        /// How many more are waited for while a finger is bent, which is about to tell.
-        ["frames", "chosen: a posture or two more"]
-        pub telling: usize = 45,
         /// Overlap that both fits must reach: one of a silhouette that shows more than the hand has other sizes.
         ["1", "45 rendered and real clips: before wood fits of 0.87 were decided wrongly, others reach 0.92"]
         pub fitted: f64 = 0.9,

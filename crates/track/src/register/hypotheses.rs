@@ -117,7 +117,7 @@ impl Hypotheses {
         }
         known.sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
         for (_, hypothesis) in known.iter().take(known_refined) {
-            solver.try_hypothesis(scene, hypothesis.clone(), (state, best), 0.0);
+            solver.try_hypothesis(scene, hypothesis.clone(), state, best);
         }
         self.known = known;
     }
@@ -185,25 +185,31 @@ fn best_posture(
     better
 }
 
-/// Tries a long finger whose end may be before the palm folded more and less, and keeps what costs clearly less: a fast
+/// Tries each long finger whose end may be before the palm folded more and less, and keeps what costs clearly less: a fast
 /// finger's shading is not followed, and outlines are the same.
 pub(super) fn try_folded(
     solver: &mut Solver,
     scene: &mut Scene<'_>,
-    finger: Finger,
-    (state, best): (&mut ModelState, &mut Registered),
+    state: &mut ModelState,
+    best: &mut Registered,
 ) {
     let HypothesisTuning { folded_from, folded_by, folded_gain, .. } = solver.tuning.hypotheses;
-    let outer = finger.free_outer();
-    for by in [folded_by, -folded_by] {
-        if state.free[finger.free_base()] + state.free[outer] < folded_from {
-            return;
-        }
-        let mut other = state.clone();
-        other.free[outer] += by;
-        solver.bring_inside(scene.prior, &mut other);
-        if solver.score(scene, &other).cost < best.cost + folded_gain {
-            solver.try_hypothesis(scene, other, (state, best), folded_gain);
+    for finger in Finger::LONG {
+        let outer = finger.free_outer();
+        for by in [folded_by, -folded_by] {
+            if state.free[finger.free_base()] + state.free[outer] < folded_from {
+                break;
+            }
+            let mut other = state.clone();
+            other.free[outer] += by;
+            solver.bring_inside(scene.prior, &mut other);
+            let mut found = solver.score(scene, &other);
+            if found.cost < best.cost + folded_gain {
+                found = solver.refine(scene, &mut other, 0..solver.tuning.rounds.most, None);
+                if found.cost < best.cost - folded_gain {
+                    (*state, *best) = (other, found);
+                }
+            }
         }
     }
 }

@@ -121,17 +121,11 @@ tuning! {
         /// Movement in an early round after which the shaded ones begin.
         ["hand lengths, rad", "chosen by eye"]
         pub settled: f64 = 0.03,
-        /// Rounds after which a hypothesis may be given up.
+        /// Rounds after which a hypothesis may be pruned.
         ["rounds", "spec/registration.md 5, Hypotheses"]
-        pub pruned_after: usize = 2,
-        /// The same where a finder sees joints.
-        ["rounds", "spec/registration.md 5, Hypotheses"]
-        pub pruned_after_sighted: usize = 3,
+        pub pruned_after: usize = 3,
         /// How much more than the best a hypothesis may cost then.
         ["1", "spec/registration.md 5, Hypotheses: by 60 a real fist was read as a tilted open hand"]
         pub pruned_beyond: f64 = 100.0,
-        /// Largest change from it to the best, after which it leads there.
-        ["hand lengths, rad", "spec/registration.md 5, what the speed cost"]
-        pub merged: f64 = 0.1,
     }
 }

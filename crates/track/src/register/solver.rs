@@ -65,46 +65,23 @@ impl Solver {
         }
     }
 
-    /// Searches from a hypothesis, and keeps what it finds where that costs less than `best` at `state`, by more than
-    /// `gain`. The search ends early where its first rounds lead nowhere near, or to `state` while no finder sees joints.
+    /// Searches from a hypothesis, unless its first rounds lead nowhere near, and keeps what it finds where
+    /// that costs less than `best` at `state`.
     pub(super) fn try_hypothesis(
         &mut self,
         scene: &mut Scene<'_>,
         mut hypothesis: ModelState,
-        (state, best): (&mut ModelState, &mut Registered),
-        gain: f64,
+        state: &mut ModelState,
+        best: &mut Registered,
     ) {
         let t = self.tuning.rounds;
-        let sighted = scene.evidence.joints().is_some();
-        let first = if sighted { t.pruned_after_sighted } else { t.pruned_after }.min(t.most);
-        let settled = self.take_rounds(scene, &mut hypothesis, 0..first, None, false);
-        if first < t.most && !(sighted && gain > 0.0) {
-            let merges = !sighted && hypothesis.largest_change(state) < t.merged;
-            if merges || self.score(scene, &hypothesis).cost > best.cost + t.pruned_beyond {
-                return;
-            }
+        let first = t.pruned_after.min(t.most);
+        if self.refine(scene, &mut hypothesis, 0..first, None).cost > best.cost + t.pruned_beyond {
+            return;
         }
-        let settled = settled && (!sighted || gain > 0.0);
-        self.take_rounds(scene, &mut hypothesis, first..t.most, None, settled);
-        let found = self.score(scene, &hypothesis);
-        if found.cost < best.cost - gain {
-            (*state, *best) = (hypothesis, found);
-        }
-    }
-
-    /// Moves `state` in the last rounds once more, where that costs less than `best`: what several hypotheses lead to has
-    /// otherwise been searched to its end in some frames, and in others not.
-    pub(super) fn finish(
-        &mut self,
-        scene: &mut Scene<'_>,
-        (state, best): (&mut ModelState, &mut Registered),
-    ) {
-        let t = self.tuning.rounds;
-        let mut finished = state.clone();
-        self.take_rounds(scene, &mut finished, t.most.div_ceil(2)..t.most, None, false);
-        let found = self.score(scene, &finished);
+        let found = self.refine(scene, &mut hypothesis, first..t.most, None);
         if found.cost < best.cost {
-            (*state, *best) = (finished, found);
+            (*state, *best) = (hypothesis, found);
         }
     }
 
@@ -124,29 +101,17 @@ impl Solver {
         self.landmarks.distance(model, state, seen)
     }
 
-    /// Moves `state` in all rounds. `first` are the normal equations of the first of them.
+    /// Moves `state` in these rounds of all. `first` are the normal equations of the first of them, if known.
     pub(super) fn refine(
-        &mut self,
-        scene: &mut Scene<'_>,
-        state: &mut ModelState,
-        first: &NormalEquations,
-    ) -> Registered {
-        self.take_rounds(scene, state, 0..self.tuning.rounds.most, Some(first), false);
-        self.score(scene, state)
-    }
-
-    /// Moves `state` in these rounds of all. `first` are the normal equations of the first of them, if known; `settled`
-    /// says whether the round before moved little, and is given back for the last.
-    fn take_rounds(
         &mut self,
         scene: &mut Scene<'_>,
         state: &mut ModelState,
         rounds: Range<usize>,
         mut first: Option<&NormalEquations>,
-        mut settled: bool,
-    ) -> bool {
+    ) -> Registered {
         let t = self.tuning.rounds;
         let last = (t.most.max(2) - 1) as f64;
+        let mut settled = false;
         for round in rounds {
             let progress = round as f64 / last;
             if settled && progress <= t.shaded_from {
@@ -162,7 +127,7 @@ impl Solver {
             }
             settled = moved < t.settled;
         }
-        settled
+        self.score(scene, state)
     }
 
     /// How well `state` agrees with the evidence and with the prior.
