@@ -183,12 +183,13 @@ impl GuidedSegmenter {
         let window = figure.window(t.margin, image.dimensions())?;
         let model = self.model.as_ref()?;
         let (width, height) = (window.x1 - window.x0, window.y1 - window.y0);
+        let crop = image::imageops::crop_imm(image, window.x0, window.y0, width, height).to_image();
         let places = Places::of(&figure, window);
         let others: Vec<Places> =
             others.iter().filter_map(|other| Some(Places::of(&Figure::of(other)?, window))).collect();
         let mut core = Mask::new(width, height);
         let (mut own, mut other) = (Vec::new(), Vec::new());
-        self.field.load_region(image, window, |y, row, ratios| {
+        self.field.load_with(&crop, |y, row, ratios| {
             let at_y = window.y0 + y;
             places.row(at_y, &mut own);
             let from = ratios.len();

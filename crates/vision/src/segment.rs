@@ -6,8 +6,6 @@ mod local_colour;
 mod options;
 mod swept;
 
-use std::borrow::Cow;
-
 pub use bars::BarTuning;
 use bars::Bars;
 use field::LikelihoodField;
@@ -268,13 +266,7 @@ pub struct Segmenter {
     /// Of the frame before.
     wrists: Vec<Wrist>,
     field: LikelihoodField,
-    /// Every second pixel each way, to find where to look.
-    scout: LikelihoodField,
 }
-
-/// How far from what is coloured like skin a picture is looked at, pixels: its outline moves by less, and the colours
-/// around are those of the background there. Regions begin at multiples of it, so that cells of colours stay the same.
-const SURROUNDINGS: u32 = 64;
 
 impl Segmenter {
     /// Learns the colours of skin and of background from pictures of the clip, a dozen or two spread over it.
@@ -392,16 +384,7 @@ impl Segmenter {
     fn by_motion(pictures: (&[RgbImage], &[RgbImage]), swept: &Swept, options: SegmentOptions) -> Self {
         let (model, still) = swept::learn(pictures, swept, &options.swept, &options.colour);
         let (field, still) = (LikelihoodField::default(), Some((Box::new(still), 0)));
-        Self {
-            options,
-            model,
-            bars: None,
-            sure: false,
-            still,
-            wrists: Vec::new(),
-            field,
-            scout: LikelihoodField::default(),
-        }
+        Self { options, model, bars: None, sure: false, still, wrists: Vec::new(), field }
     }
 
     /// In how many pictures a part is an open hand, of parts that moved where that is known: counted up to `enough`, and no
@@ -508,16 +491,7 @@ impl Segmenter {
             model = ColourModel::from_counts(&skin, &background, conservative, &options.colour);
         }
         let field = LikelihoodField::default();
-        Ok(Self {
-            options,
-            model,
-            bars: None,
-            sure: false,
-            still: None,
-            wrists: Vec::new(),
-            field,
-            scout: LikelihoodField::default(),
-        })
+        Ok(Self { options, model, bars: None, sure: false, still: None, wrists: Vec::new(), field })
     }
 
     /// Knows the bars at the edges of pictures of the clip.
@@ -525,10 +499,9 @@ impl Segmenter {
         Self { bars: Bars::of(samples, &self.options.bars), ..self }
     }
 
-    /// What is coloured like skin in the last picture, of which `region` was loaded, bars left out, and where they leave the
-    /// film.
-    fn coarse(&self, region: PixelRect, size: (u32, u32)) -> (Mask, Option<PixelRect>) {
-        let coarse = self.field.coarse().placed(region, size);
+    /// What is coloured like skin in the last picture, bars left out, and where they leave the film.
+    fn coarse(&self) -> (Mask, Option<PixelRect>) {
+        let coarse = self.field.coarse();
         match self.bars.and_then(|bars| bars.beside(&coarse, &self.options.bars)) {
             Some(frame) => (coarse.cropped(frame).placed(frame, coarse.size()), Some(frame)),
             None => (coarse, None),
@@ -548,10 +521,8 @@ impl Segmenter {
     /// # Errors
     /// There is no hand, or more than one, or the picture is less than 16 pixels wide or high.
     pub fn segment(&mut self, image: &RgbImage) -> Result<Silhouette, VisionError> {
-        let image = self.sized(image)?;
-        let whole = whole(image.dimensions());
-        self.load(&image, whole);
-        let (coarse, frame) = self.coarse(whole, image.dimensions());
+        self.load(image)?;
+        let (coarse, frame) = self.coarse();
         let coarse = single_part(&coarse, &self.options)?;
         let arm = largest_component(&self.field.refine(&coarse, &self.options.outline));
         let silhouette = self.cut(arm, frame, self.wrists.first());
@@ -566,16 +537,12 @@ impl Segmenter {
     /// # Errors
     /// There is no such part, or the picture is less than 16 pixels wide or high.
     pub fn segment_all(&mut self, image: &RgbImage) -> Result<Vec<Silhouette>, VisionError> {
-        let image = &*self.sized(image)?;
-        let size = image.dimensions();
-        let region = self.region(image);
-        self.load(image, region);
-        let (coarse, frame) = self.coarse(region, size);
+        self.load(image)?;
+        let (coarse, frame) = self.coarse();
         let coarse = large_parts(&coarse, &self.options)?;
-        let mut all = Mask::new(size.0, size.1);
+        let mut all = Mask::new(self.field.width(), self.field.height());
         coarse.iter().for_each(|part| all.union_with(part));
-        let refined = self.field.refine(&all.cropped(region), &self.options.outline);
-        let arms = large_parts(&refined.placed(region, size), &self.options)?;
+        let arms = large_parts(&self.field.refine(&all, &self.options.outline), &self.options)?;
         let alone = arms.len() == 1 && self.wrists.len() == 1;
         let before = std::mem::take(&mut self.wrists);
         let mut found = Vec::with_capacity(arms.len());
@@ -594,7 +561,9 @@ impl Segmenter {
     fn learn_behind(&mut self, image: &RgbImage, found: &[Silhouette]) {
         let Some((still, since)) = &mut self.still else { return };
         *since += 1;
-        if *since < self.options.swept.learn_every {
+        if *since < self.options.swept.learn_every
+            || image.dimensions() != (self.field.width(), self.field.height())
+        {
             return;
         }
         *since = 0;
@@ -603,64 +572,27 @@ impl Segmenter {
         still.learn(image, &dilate(&covered, self.options.swept.margin));
     }
 
-    /// A picture at the analysis size.
-    fn sized<'a>(&self, image: &'a RgbImage) -> Result<Cow<'a, RgbImage>, VisionError> {
+    /// Loads a picture at the analysis size.
+    fn load(&mut self, image: &RgbImage) -> Result<(), VisionError> {
         check_size(image.dimensions())?;
         let (w, h) = image.dimensions();
         let target = fit_within(w, h, Some(self.options.max_side));
-        Ok(if target == (w, h) { Cow::Borrowed(image) } else { Cow::Owned(resized(image, target)) })
-    }
-
-    /// Where a picture of the analysis size may show hands, with their surroundings: round all that is coloured like skin and
-    /// half as large as it must be, in every second pixel each way.
-    fn region(&mut self, image: &RgbImage) -> PixelRect {
-        let whole = whole(image.dimensions());
-        let (model, limit) = (&self.model, self.options.swept.colour);
-        let still = self.still.as_ref().map(|(still, _)| still);
-        self.scout.load_with(&halved(image), |y, row, ratios| {
-            let start = ratios.len();
-            match still {
-                None => ratios.extend(row.ycc.iter().map(|&ycc| model.ratio(cell(ycc)))),
-                Some(still) => {
-                    ratios.extend(row.ycc.iter().map(|&ycc| limited(model.ratio(cell(ycc)), limit)));
-                    let behind = still.row(0, 2 * y).every(2);
-                    behind.add_ratios(row.rgb, ratios.get_mut(start..).unwrap_or(&mut []));
-                }
-            }
-        });
-        let skin = self.scout.coarse();
-        let parts = Components::of(&skin, true);
-        let area = |i: usize| f64::from(parts.list[i].area);
-        let Some(largest) = parts.largest() else { return whole };
-        let share = self.options.min_area * f64::from(skin.width()) * f64::from(skin.height());
-        let least = 0.5 * share.max(self.options.min_relative_area * area(largest));
-        let mut large = Mask::new(skin.width(), skin.height());
-        parts.draw(&mut large, |_, part| f64::from(part.area) >= least);
-        let Some(bounds) = large.bounds() else { return whole };
-        let from = |v: u32| (2 * v).saturating_sub(SURROUNDINGS) / SURROUNDINGS * SURROUNDINGS;
-        let to = |v: u32, most: u32| (2 * v + SURROUNDINGS).next_multiple_of(SURROUNDINGS).min(most);
-        PixelRect {
-            x0: from(bounds.x0),
-            y0: from(bounds.y0),
-            x1: to(bounds.x1, whole.x1),
-            y1: to(bounds.y1, whole.y1),
+        if target == (w, h) {
+            self.load_sized(image);
+        } else {
+            self.load_sized(&resized(image, target));
         }
+        Ok(())
     }
 
-    /// Loads a region of a picture of the analysis size.
-    fn load(&mut self, image: &RgbImage, region: PixelRect) {
+    /// Loads a picture of the analysis size.
+    fn load_sized(&mut self, image: &RgbImage) {
         let (model, limit) = (&self.model, self.options.swept.colour);
-        let still = self.still.as_ref().map(|(still, _)| still);
-        self.field.load_region(image, region, |y, row, ratios| {
+        let Some((still, _)) = &self.still else { return self.field.load(image, model) };
+        self.field.load_with(image, |y, row, ratios| {
             let start = ratios.len();
-            match still {
-                None => ratios.extend(row.ycc.iter().map(|&ycc| model.ratio(cell(ycc)))),
-                Some(still) => {
-                    ratios.extend(row.ycc.iter().map(|&ycc| limited(model.ratio(cell(ycc)), limit)));
-                    let behind = still.row(region.x0, region.y0 + y);
-                    behind.add_ratios(row.rgb, ratios.get_mut(start..).unwrap_or(&mut []));
-                }
-            }
+            ratios.extend(row.ycc.iter().map(|&ycc| limited(model.ratio(cell(ycc)), limit)));
+            still.row(0, y).add_ratios(row.rgb, ratios.get_mut(start..).unwrap_or(&mut []));
         });
     }
 
@@ -669,32 +601,16 @@ impl Segmenter {
         self.wrists.clear();
     }
 
-    /// Posterior probability of skin for each pixel of the last picture of [`Segmenter::segment`], 0..=255 at the analysis size, where skin
+    /// Posterior probability of skin for each pixel of the last picture, 0..=255 at the analysis size, where skin
     /// and background have the same prior.
     pub fn posterior(&self) -> GrayImage {
         self.field.posterior()
     }
 
-    /// The pixels of the last picture of [`Segmenter::segment`] whose posterior is above one half, at the analysis size.
+    /// The pixels of the last picture whose posterior is above one half, at the analysis size.
     pub fn skin_mask(&self) -> Mask {
         self.field.coarse()
     }
-}
-
-fn whole((x1, y1): (u32, u32)) -> PixelRect {
-    PixelRect { x0: 0, y0: 0, x1, y1 }
-}
-
-/// Every second pixel each way.
-fn halved(image: &RgbImage) -> RgbImage {
-    let [width, height] = [image.width(), image.height()].map(|side| side.div_ceil(2));
-    let mut out = RgbImage::new(width, height);
-    let rows = image.as_raw().as_chunks::<3>().0.chunks(image.width().max(1) as usize).step_by(2);
-    let halved = out.as_chunks_mut::<3>().0.chunks_mut(width.max(1) as usize);
-    for (row, halved) in rows.zip(halved) {
-        halved.iter_mut().zip(row.iter().step_by(2)).for_each(|(half, pixel)| *half = *pixel);
-    }
-    out
 }
 
 fn no_hand(what: &str) -> VisionError {

@@ -142,7 +142,7 @@ impl StillBackground {
     pub(crate) fn row(&self, x: u32, y: u32) -> StillRow<'_> {
         let (width, x) = (self.width as usize, x as usize);
         let pixels = self.pixels.get(y as usize * width + x..(y as usize + 1) * width).unwrap_or(&[]);
-        StillRow { tuning: self.tuning, pixels, step: 1, per_square: 0.5 / (3.0 * self.variance) }
+        StillRow { tuning: self.tuning, pixels, per_square: 0.5 / (3.0 * self.variance) }
     }
 
     /// Share of the pixels whose background is known, 0 to 1.
@@ -156,23 +156,15 @@ impl StillBackground {
 pub(crate) struct StillRow<'a> {
     tuning: StillTuning,
     pixels: &'a [Pixel],
-    step: usize,
     /// Half the inverse of the variance of three channels.
     per_square: f32,
 }
 
 impl StillRow<'_> {
-    /// Of every so many pixels one.
-    pub(crate) fn every(self, step: usize) -> Self {
-        Self { step, ..self }
-    }
-
     /// Adds the log-likelihood ratio that something stands in front of the background to those of the pixels of the row,
     /// of these colours; 0 where the background is not known.
     pub(crate) fn add_ratios(&self, colours: &[[u8; 3]], ratios: &mut [f32]) {
-        for ((ratio, &rgb), pixel) in
-            ratios.iter_mut().zip(colours).zip(self.pixels.iter().step_by(self.step))
-        {
+        for ((ratio, &rgb), pixel) in ratios.iter_mut().zip(colours).zip(self.pixels) {
             *ratio += self.ratio_at(pixel, rgb);
         }
     }

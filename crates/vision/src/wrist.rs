@@ -5,7 +5,7 @@ mod palm;
 mod section;
 
 pub use options::{BluntEndTuning, CutTuning, ForearmTuning, PalmTuning, WristTuning};
-use palm::{Inscribed, closed_end, entry, fingers_of, first_palm};
+use palm::{closed_end, entry, fingers_of, first_palm, inscribed_circles, largest};
 pub(super) use section::cross_section;
 use section::{forearm_direction, narrowest_section};
 
@@ -117,10 +117,11 @@ fn find_wrist(
     prior: Option<&Wrist>,
     tuning: &WristTuning,
 ) -> Option<(Option<Wrist>, InscribedCircle)> {
-    let inscribed = Inscribed::of(arm)?;
+    let circles = inscribed_circles(arm);
     let centroid = arm.centroid()?;
-    let thickest = inscribed.largest();
-    let large = inscribed.above(tuning.palm.min_radius * thickest.radius);
+    let thickest = largest(&circles, centroid);
+    let large: Vec<InscribedCircle> =
+        circles.iter().filter(|c| c.radius > tuning.palm.min_radius * thickest.radius).copied().collect();
     let at_border = entry(arm);
     // A finger that touches the border is no forearm.
     let from_border = at_border.filter(|(_, chord)| *chord > tuning.palm.min_entry * thickest.radius);
@@ -134,7 +135,7 @@ fn find_wrist(
                 along.is_none_or(|cosine| cosine > tuning.blunt_end.turned)
             };
             let prior = prior.filter(agrees);
-            let closed = || closed_end(&inscribed, &thickest, centroid, &tuning.blunt_end);
+            let closed = || closed_end(&circles, &thickest, centroid, &tuning.blunt_end);
             (prior.map(|wrist| wrist.axis).or(fingers).or_else(closed)?, prior)
         }
     };

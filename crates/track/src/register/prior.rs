@@ -84,8 +84,7 @@ tuning! {
         /// Flexion of the first and the middle joint of a long finger in a fist.
         ["rad", "fists recorded by a headset and scripted ones: 80 to 90 and 90 to 100 degrees"]
         pub closed: [f64; 2] = [1.5, 1.7],
-        /// Standard deviation of a flexion from that of a fist, while it is near to it: where nothing is seen of a folded
-        /// finger it is folded wholly.
+        /// Standard deviation of a flexion from that of a fist, while it is near to it, where a finder sees joints.
         ["rad", "spec/registration.md 5, what the fist's prior gains"]
         pub closed_flexion: f64 = 0.45,
         /// Difference from the fist's flexion at which that prior has faded.
@@ -188,6 +187,9 @@ impl Prior<'_> {
     ) {
         self.global(tuning, state, &mut add);
         self.posture(tuning, state, &mut add);
+        if evidence.joints().is_some() {
+            closed(tuning, state, &mut add);
+        }
         if let (Some(now), Some(then)) = (evidence.window().forearm(), self.open.behind) {
             let hand = HAND_LENGTH * state.scale;
             let residual = now.behind(state) - then;
@@ -240,10 +242,6 @@ impl Prior<'_> {
             let with_bend = if (0.0..FRAC_PI_2).contains(&flexion) { opened / FRAC_PI_2 } else { 0.0 };
             let gradient = [(FREE + abduction, 1.0), (FREE + base, with_bend)];
             add(&gradient, residual, Loss::quadratic(t.abduction));
-            let closed = Loss::geman_mcclure(t.closed_flexion, t.closed_reach);
-            for (i, fist) in [base, outer].into_iter().zip(t.closed) {
-                add(&[(FREE + i, 1.0)], state.free[i] - fist, closed);
-            }
             let uneven = t.flexion_ratio * state.free[outer] - state.free[base];
             let gradient = [(FREE + outer, t.flexion_ratio), (FREE + base, -1.0)];
             add(&gradient, uneven, Loss::quadratic(t.flexion_ratio_deviation));
@@ -259,6 +257,17 @@ impl Prior<'_> {
         ];
         let residual = state.free[outer] - t.thumb_ratio * mcp;
         add(&gradient, residual, Loss::quadratic(t.thumb_ratio_deviation));
+    }
+}
+
+/// Those of folded fingers, which are folded wholly where nothing is seen of them. Without joints that a finder sees, fingers
+/// that are folded are not told as well from others.
+fn closed(t: &PriorTuning, state: &ModelState, add: &mut impl FnMut(&[(usize, f64)], f64, Loss)) {
+    let loss = Loss::geman_mcclure(t.closed_flexion, t.closed_reach);
+    for finger in Finger::LONG {
+        for (i, fist) in [finger.free_base(), finger.free_outer()].into_iter().zip(t.closed) {
+            add(&[(FREE + i, 1.0)], state.free[i] - fist, loss);
+        }
     }
 }
 

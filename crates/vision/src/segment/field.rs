@@ -3,7 +3,7 @@
 use image::{GrayImage, RgbImage};
 
 use super::local_colour::LocalColour;
-use super::{ColourModel, Mask, OutlineTuning, PixelRect, SegmentOptions};
+use super::{ColourModel, Mask, OutlineTuning, SegmentOptions};
 use crate::colour::{cell, chromaticity, limited, ycc};
 use crate::morphology::{Components, dilate, erode, invert};
 
@@ -35,29 +35,19 @@ impl LikelihoodField {
     }
 
     /// Loads a picture with the log-likelihood ratios that `append` gives for each of its rows.
-    pub(crate) fn load_with(&mut self, image: &RgbImage, append: impl FnMut(u32, Row<'_>, &mut Vec<f32>)) {
-        let whole = PixelRect { x0: 0, y0: 0, x1: image.width(), y1: image.height() };
-        self.load_region(image, whole, append);
-    }
-
-    /// The same of a region of the picture, whose rows are counted from its first.
-    pub(crate) fn load_region(
+    pub(crate) fn load_with(
         &mut self,
         image: &RgbImage,
-        region: PixelRect,
         mut append: impl FnMut(u32, Row<'_>, &mut Vec<f32>),
     ) {
-        let [x0, y0, x1, y1] = [region.x0, region.y0, region.x1, region.y1].map(|v| v as usize);
-        self.size = (x1 - x0, y1 - y0);
+        self.size = (image.width() as usize, image.height() as usize);
+        let width = self.size.0.max(1);
+        let pixels = image.as_raw().as_chunks().0;
         self.colours.clear();
+        self.colours.extend(pixels.iter().map(|&p| ycc(p)));
         self.ratios.clear();
-        self.ratios.reserve(self.size.0 * self.size.1);
-        let rows = image.as_raw().as_chunks().0.chunks(image.width().max(1) as usize);
-        for (y, row) in rows.skip(y0).take(self.size.1).enumerate() {
-            let rgb = row.get(x0..x1).unwrap_or(&[]);
-            let start = self.colours.len();
-            self.colours.extend(rgb.iter().map(|&p| ycc(p)));
-            let ycc = self.colours.get(start..).unwrap_or(&[]);
+        self.ratios.reserve(pixels.len());
+        for (y, (ycc, rgb)) in self.colours.chunks(width).zip(pixels.chunks(width)).enumerate() {
             append(y as u32, Row { ycc, rgb }, &mut self.ratios);
         }
         self.smooth.clone_from(&self.ratios);
@@ -66,6 +56,14 @@ impl LikelihoodField {
 
     pub(super) fn cell(&self, x: u32, y: u32) -> usize {
         self.colours.get(y as usize * self.size.0 + x as usize).map_or(0, |&c| cell(c))
+    }
+
+    pub(super) fn width(&self) -> u32 {
+        self.size.0 as u32
+    }
+
+    pub(super) fn height(&self) -> u32 {
+        self.size.1 as u32
     }
 
     /// The largest part of [`Self::coarse`], with others of comparable area that have its hue and saturation: a second

@@ -53,66 +53,26 @@ fn framed(arm: &Mask) -> Option<(Mask, [f64; 2])> {
     Some((framed, [bounds.x0, bounds.y0].map(|v| f64::from(v) - 1.0)))
 }
 
-/// The circles inscribed in an arm round its pixels.
-pub(super) struct Inscribed {
-    framed: Mask,
-    corner: [f64; 2],
-    map: DistanceMap,
-}
-
-impl Inscribed {
-    /// Those of an arm; `None` where it is empty.
-    pub(super) fn of(arm: &Mask) -> Option<Self> {
-        let (framed, corner) = framed(arm)?;
-        let map = DistanceMap::to_value(&framed, false);
-        Some(Self { framed, corner, map })
-    }
-
-    /// Gives each pixel and its squared distance to the background, in row order.
-    fn each(&self, mut take: impl FnMut(u32, u32, u32)) {
-        for y in 0..self.framed.height() {
-            for (start, end) in self.framed.runs(y) {
-                (start..end).for_each(|x| take(x, y, self.map.squared(x, y)));
+/// The circles inscribed in the arm round each of its pixels, in row order.
+pub(super) fn inscribed_circles(arm: &Mask) -> Vec<InscribedCircle> {
+    let Some((framed, [left, top])) = framed(arm) else { return Vec::new() };
+    let map = DistanceMap::to_value(&framed, false);
+    let mut out = Vec::with_capacity(arm.area() as usize);
+    for y in 0..framed.height() {
+        for (start, end) in framed.runs(y) {
+            for x in start..end {
+                let centre = [left + f64::from(x) + 0.5, top + f64::from(y) + 0.5];
+                out.push(InscribedCircle { centre, radius: f64::from(map.squared(x, y)).sqrt() - 0.5 });
             }
         }
     }
+    out
+}
 
-    fn circle(&self, x: u32, y: u32, squared: u32) -> InscribedCircle {
-        let [left, top] = self.corner;
-        let centre = [left + f64::from(x) + 0.5, top + f64::from(y) + 0.5];
-        InscribedCircle { centre, radius: f64::from(squared).sqrt() - 0.5 }
-    }
-
-    /// The largest, the first of equals in row order.
-    pub(super) fn largest(&self) -> InscribedCircle {
-        let mut deepest = (0, 0, 0);
-        self.each(|x, y, squared| {
-            if squared > deepest.2 {
-                deepest = (x, y, squared);
-            }
-        });
-        self.circle(deepest.0, deepest.1, deepest.2)
-    }
-
-    /// Those of a radius above `least`, in row order.
-    pub(super) fn above(&self, least: f64) -> Vec<InscribedCircle> {
-        let shallow = ((least + 0.5).max(0.0).powi(2) - 1.0) as u32;
-        let mut above = Vec::new();
-        self.each(|x, y, squared| {
-            if squared >= shallow {
-                above.push(self.circle(x, y, squared));
-            }
-        });
-        above.retain(|circle| circle.radius > least);
-        above
-    }
-
-    /// How far the arm reaches from the centre of a circle along `axis`.
-    fn reach(&self, from: &InscribedCircle, axis: [f64; 2]) -> f64 {
-        let mut far: f64 = 0.0;
-        self.each(|x, y, _| far = far.max(dot(minus(self.circle(x, y, 0).centre, from.centre), axis)));
-        far
-    }
+/// The largest of the circles; one without a radius at `centroid` where there are none.
+pub(super) fn largest(circles: &[InscribedCircle], centroid: [f64; 2]) -> InscribedCircle {
+    let none = InscribedCircle { centre: centroid, radius: 0.0 };
+    circles.iter().fold(none, |most, c| if c.radius > most.radius { *c } else { most })
 }
 
 /// Direction to the fingers from the thickest place of an arm that ends within the picture (a sleeve, an elbow, a bar at
@@ -145,13 +105,13 @@ pub(super) fn fingers_of(
 /// The same of a fist or closed fingers. Most of a hand lies on the side of its fingers, seen from the thickest place; but
 /// what is longer there than a hand is a forearm.
 pub(super) fn closed_end(
-    inscribed: &Inscribed,
+    circles: &[InscribedCircle],
     thickest: &InscribedCircle,
     centroid: [f64; 2],
     tuning: &BluntEndTuning,
 ) -> Option<[f64; 2]> {
     let most = unit(minus(centroid, thickest.centre))?;
-    let far = inscribed.reach(thickest, most);
+    let far = circles.iter().map(|c| dot(minus(c.centre, thickest.centre), most)).fold(0.0, f64::max);
     Some(if far > tuning.hand_reach * thickest.radius { most.map(|v| -v) } else { most })
 }
 
@@ -209,11 +169,10 @@ mod tests {
     #[test]
     fn circles_end_at_the_border_of_the_picture() {
         let all = Mask::from_fn(41, 21, |_, _| true);
-        let inscribed = Inscribed::of(&all).unwrap();
-        assert_eq!(inscribed.above(0.0).len(), 41 * 21);
-        assert_eq!(inscribed.largest(), InscribedCircle { centre: [10.5, 10.5], radius: 10.5 });
-        // Of those in the middle row that are as large.
-        assert_eq!(inscribed.above(10.0).len(), 21);
+        let circles = inscribed_circles(&all);
+        assert_eq!(circles.len(), 41 * 21);
+        let largest = circles.iter().map(|c| c.radius).fold(0.0, f64::max);
+        assert_eq!(largest, 10.5);
     }
 
     #[test]
