@@ -35,8 +35,10 @@ pub use crate::bap::TimedBapFrame;
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::bap::Bap;
+    use crate::bap::{Bap, StepTable};
     use crate::encoder::degrees_per_unit;
+    use crate::state::step;
+    use crate::syntax::{MAX_RANGE_CODE, range_levels};
     use crate::{Decoder, DecoderOptions};
 
     /// Bends that rest and move by turns, eight seconds at 30 frames/s.
@@ -146,6 +148,30 @@ mod tests {
                 decoder.push(&stream).unwrap();
                 let first = decoder.next_frame().unwrap().unwrap().baps.value(turn);
                 assert!((1860 - first).abs() <= 127, "{mode:?}, live {live}: {first}");
+            }
+        }
+    }
+
+    /// An angle at the very end of its range, which some quantisers do not carry, is no reason to hold no rate, whatever error
+    /// is asked for with it.
+    #[test]
+    fn a_rate_is_held_where_a_quantiser_does_not_reach() {
+        let bend = Bap::new(132).unwrap();
+        let end = range_levels(MAX_RANGE_CODE, 1) * step(bend, StepTable::Standard, 1) + 1;
+        let mut clip = clip();
+        let later: Vec<_> =
+            clip.iter().map(|frame| TimedBapFrame { time: frame.time + 8.0, ..*frame }).collect();
+        clip.extend(later);
+        clip[200..260].iter_mut().for_each(|frame| frame.baps.set(bend, end));
+        for clip in [&clip[..240], &clip] {
+            for kbit_per_s in [0.6, 2.0, 6.0] {
+                for max_error in [0.1, 2.5] {
+                    let mode = Target::Bitrate(kbit_per_s);
+                    let options = PlanOptions { mode, max_error, ..PlanOptions::default() };
+                    let (_, report) = encode_clip(clip, &options).unwrap();
+                    let rate = report.kbit_per_s() / kbit_per_s;
+                    assert!(rate <= 1.05, "{rate} of {kbit_per_s} kbit/s");
+                }
             }
         }
     }

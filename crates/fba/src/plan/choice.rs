@@ -59,40 +59,49 @@ struct Choice<'a> {
 
 /// The plan of each section, beginning with the first of each.
 pub(super) fn choose(windows: &Windows, sections: &[Range<usize>], menu: &[Vec<Variant>]) -> Vec<usize> {
-    let bits: Vec<u64> =
-        menu.iter().flat_map(|plans| plans[0].bits.iter().map(|&bits| bits.into())).collect();
     let error: f64 = menu.iter().map(|plans| plans[0].error).sum();
-    let mut choice = Choice {
-        windows,
-        sections,
-        menu,
-        chosen: vec![0; sections.len()],
-        total: bits.iter().map(|&bits| bits as f64).sum(),
-        bits,
-        weight: 0.0,
-        rest: Vec::new(),
-        with: Vec::new(),
-        parts: [Vec::new(), Vec::new()],
-    };
+    let mut choice = Choice::new(windows, sections, menu);
     for weight in WEIGHTS {
-        choice.weight = weight * error.max(1.0);
+        choice.improve_all(weight * error.max(1.0));
+    }
+    choice.chosen
+}
+
+impl<'a> Choice<'a> {
+    /// The first plan of each section.
+    fn new(windows: &'a Windows, sections: &'a [Range<usize>], menu: &'a [Vec<Variant>]) -> Self {
+        let bits: Vec<u64> =
+            menu.iter().flat_map(|plans| plans[0].bits.iter().map(|&bits| bits.into())).collect();
+        Self {
+            windows,
+            sections,
+            menu,
+            chosen: vec![0; sections.len()],
+            total: bits.iter().map(|&bits| bits as f64).sum(),
+            bits,
+            weight: 0.0,
+            rest: Vec::new(),
+            with: Vec::new(),
+            parts: [Vec::new(), Vec::new()],
+        }
+    }
+
+    /// Goes through all sections, as long as some plans of them are better at this weight.
+    fn improve_all(&mut self, weight: f64) {
+        self.weight = weight;
+        let count = self.sections.len();
         for _ in 0..PASSES {
             let mut better = false;
-            for index in 0..sections.len() {
-                // Of a clip of one section there is no pair.
-                if index > 0 || sections.len() == 1 {
-                    better |= choice.improve(index.checked_sub(1), index);
-                }
+            // Of a clip of one section there is no pair.
+            for index in usize::from(count > 1)..count {
+                better |= self.improve(index.checked_sub(1), index);
             }
             if !better {
                 break;
             }
         }
     }
-    choice.chosen
-}
 
-impl Choice<'_> {
     /// Takes the best plans of a section and the one before it, if any; false if they are chosen.
     fn improve(&mut self, first: Option<usize>, second: usize) -> bool {
         let begin = self.sections[first.unwrap_or(second)].start;
@@ -176,5 +185,103 @@ fn add_parts(spans: &[Range<usize>], frames: &Range<usize>, bits: &[u32], parts:
         sum -= bits[begin..first].iter().map(|&bits| f64::from(bits)).sum::<f64>();
         (begin, end) = (first, behind);
         parts.push(sum);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Frames of a section.
+    const LONG: usize = 210;
+
+    fn variant(level: u32, error: f64) -> Variant {
+        // A plane that sends all, and some that send more than others.
+        let bits = (0..LONG as u32).map(|frame| if frame == 0 { 6 * level } else { level + frame % 7 });
+        let made = Made { plans: Vec::new(), prices: Arc::new([]), quant: 8 };
+        Variant { bits: bits.collect(), error, made: Arc::new(made) }
+    }
+
+    /// Windows of 10 s at 30 frames/s, in each of which 36 bits a frame are to be spent, of clips of some sections, and their
+    /// frames.
+    fn windows(sections: usize) -> (Windows, Vec<Range<usize>>) {
+        let ticks: Vec<u64> = (0..(sections * LONG) as u64).collect();
+        let frames = (0..sections).map(|index| index * LONG..(index + 1) * LONG).collect();
+        (Windows::new(&ticks, 30.0, 1.08), frames)
+    }
+
+    /// Menus of plans that cost less as their errors are larger, hardly in step.
+    fn menus(sections: usize, plans: usize, seed: u32) -> Vec<Vec<Variant>> {
+        let mut state = seed;
+        let mut random = |below: u32| {
+            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            (state >> 16) % below
+        };
+        let mut plan = |_| {
+            let level = 20 + random(26);
+            variant(level, f64::from(2000 / level + random(12)))
+        };
+        (0..sections).map(|_| (0..plans).map(&mut plan).collect()).collect()
+    }
+
+    /// What a choice costs at a weight, counted from nothing.
+    fn cost(windows: &Windows, menu: &[Vec<Variant>], chosen: &[usize], weight: f64) -> f64 {
+        let plans = || menu.iter().zip(chosen).map(|(plans, &plan)| &plans[plan]);
+        let bits: Vec<u64> = plans().flat_map(|plan| plan.bits.iter().map(|&bits| u64::from(bits))).collect();
+        let sum = |span: &Range<usize>| bits[span.clone()].iter().sum::<u64>() as f64;
+        let spans = windows.spans.iter().enumerate();
+        let beyond: f64 = spans.map(|(index, span)| windows.beyond(index, sum(span), HELD)).sum();
+        let over = (sum(&(0..bits.len())) / windows.total - MOST).max(0.0);
+        plans().map(|plan| plan.error).sum::<f64>() + weight * (beyond + over)
+    }
+
+    #[test]
+    fn of_two_sections_the_best_pair_is_chosen() {
+        let (windows, frames) = windows(2);
+        let mut moved = 0;
+        for seed in 0..40 {
+            let menu = menus(2, 6, seed);
+            let errors: f64 = menu.iter().map(|plans| plans[0].error).sum();
+            for weight in WEIGHTS.map(|weight| weight * errors) {
+                let mut choice = Choice::new(&windows, &frames, &menu);
+                choice.improve_all(weight);
+                let pairs = (0..36).map(|pair| cost(&windows, &menu, &[pair / 6, pair % 6], weight));
+                let least = pairs.fold(f64::INFINITY, f64::min);
+                let found = cost(&windows, &menu, &choice.chosen, weight);
+                assert!(found <= least + 1e-6 * weight, "{found} for {least} with {seed} at {weight}");
+                moved += u32::from(choice.chosen != [0, 0]);
+            }
+        }
+        assert!(moved > 60, "{moved}");
+    }
+
+    #[test]
+    fn no_choice_is_worse_than_the_one_it_begins_with() {
+        let (windows, frames) = windows(7);
+        for seed in 0..20 {
+            let menu = menus(7, 5, seed);
+            let mut choice = Choice::new(&windows, &frames, &menu);
+            for weight in [3.0, 1000.0, 30.0, 1e5] {
+                let before = cost(&windows, &menu, &choice.chosen, weight);
+                choice.improve_all(weight);
+                let after = cost(&windows, &menu, &choice.chosen, weight);
+                assert!(after <= before + 1e-6 * weight, "{after} after {before} with {seed} at {weight}");
+            }
+        }
+    }
+
+    #[test]
+    fn windows_are_held_where_a_choice_holds_them() {
+        let (windows, frames) = windows(2);
+        // Nothing but the third and the second together is in the band, though others have less error.
+        let plan = |(level, error): &(u32, f64)| variant(*level, *error);
+        let menu = [[(45, 1.0), (20, 9.0), (32, 6.0)], [(45, 1.0), (32, 6.0), (26, 7.0)]];
+        let menu = menu.map(|plans| plans.iter().map(plan).collect::<Vec<_>>());
+        let held =
+            |chosen: &[usize]| cost(&windows, &menu, chosen, 1.0) == cost(&windows, &menu, chosen, 0.0);
+        let all: Vec<[usize; 2]> =
+            (0..9).map(|pair| [pair / 3, pair % 3]).filter(|pair| held(pair)).collect();
+        assert_eq!(all, [[2, 1]]);
+        assert_eq!(choose(&windows, &frames, &menu), [2, 1]);
     }
 }

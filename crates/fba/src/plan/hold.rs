@@ -7,7 +7,8 @@
 //!
 //! Another quantiser needs all range arrays, at 1 kbit/s a tenth of what ten seconds may cost. So once prices are about right,
 //! the quantiser of each section is settled, few of them and with no change that is not worth its leap, and which I planes send
-//! which arrays. From there on the bits of a plan are the same whatever its neighbours are, how they follow a price is
+//! which arrays. From there on the bits of a plan hardly depend on its neighbours (arrays that several I planes
+//! share are as wide as the widest of them needs), how they follow a price is
 //! learnt section by section, and what is still beyond its band is mended by a choice among all plans made of each
 //! section, near such windows of more of them, in the end everywhere of some for less error. Too much counts for more than
 //! too little, and frames in which there is less to say than the rate has room for are not missed. The live encoder's stream
@@ -18,7 +19,7 @@ use std::sync::Arc;
 
 use super::super::error::EncodeError;
 use super::super::state::step;
-use super::attempt::{Attempt, Made, PRICES, Prices, changed};
+use super::attempt::{Attempt, Made, PRICES, Prices, changed, mean};
 use super::choice::{MOST, Variant, choose};
 use super::clip::Clip;
 use super::live::write_live;
@@ -38,8 +39,8 @@ const PLANNED: [f64; 2] = [0.962, 1.038];
 const MEAN: [f64; 2] = [0.99, 0.996];
 /// The share of its bits that a clip, or a window of it, must use where it can.
 const USED: f64 = 0.985;
-/// Rounds in which prices are made anew before quantisers and range arrays are settled at the latest, those after that, and
-/// how many of these look at the clip as a whole.
+/// The last round of prices before which quantisers and range arrays may be settled again, the rounds that are made from then
+/// on at most, and how many of these look at the clip as a whole.
 const SETTLING: usize = 3;
 const SINCE: usize = 4;
 const WHOLE: usize = 2;
@@ -270,7 +271,7 @@ impl Planner<'_> {
             if best.excess == 0.0 && best.used > USED || since == SINCE {
                 break;
             }
-            let mean = last.frame_prices().sum::<f64>() / self.clip.len() as f64;
+            let mean = last.mean_price();
             let drifted = settled.is_none_or(|settled| (settled - mean).abs() > DRIFT);
             if (1..=SETTLING).contains(&round) && drifted {
                 (settled, since) = (Some(mean), 0);
@@ -312,7 +313,7 @@ impl Planner<'_> {
             self.choose(windows, &mut best, &mut menu)?;
         }
         let mut plans = self.together(&best.sections);
-        plans.lambda = (best.frame_prices().sum::<f64>() / self.clip.len() as f64).exp();
+        plans.lambda = best.mean_price().exp();
         Ok(plans)
     }
 
@@ -332,7 +333,7 @@ impl Planner<'_> {
             let intra = self.sections[index].clone().map(|index| self.clip.period(index).start);
             let bits: u64 = attempt.bits[frames].iter().sum();
             let intra: u64 = intra.map(|frame| attempt.bits[frame]).sum();
-            responses[index].note(made.mean_price(), (bits - intra) as f64);
+            responses[index].note(mean(&made.prices), (bits - intra) as f64);
         }
     }
 
@@ -350,10 +351,13 @@ impl Planner<'_> {
         }
     }
 
-    /// Whether each section is in a window that is not held.
+    /// Whether each section is in a window that is not held: all are, where only the clip as a whole costs too much.
     fn unheld(&self, windows: &Windows, attempt: &Attempt) -> Vec<bool> {
         let mut near = vec![false; self.clip.len()];
         windows.broken(&attempt.bits).for_each(|span| near[span].fill(true));
+        if near.iter().all(|&near| !near) {
+            near.fill(true);
+        }
         self.frames_of_sections().map(|frames| near[frames].iter().any(|&near| near)).collect()
     }
 
@@ -403,6 +407,10 @@ impl Planner<'_> {
                 *best = found;
                 before.fill(0);
             }
+        }
+        // What the best plans cost is known beside each other.
+        for (plans, frames) in menu.iter_mut().zip(&frames) {
+            plans[0].bits = best.bits_of(frames.clone());
         }
         Ok(())
     }
@@ -544,10 +552,8 @@ impl Planner<'_> {
         quant: u8,
     ) -> Result<Arc<Made>, EncodeError> {
         let section = self.sections[index].clone();
-        let plans = match self.cheapest(search, section.clone(), 1.0, quant..=quant) {
-            Err(EncodeError::OutOfRange { .. }) => self.cheapest(search, section, 1.0, QUANTS)?,
-            plans => plans?,
-        };
+        let plans = self.cheapest(search, section.clone(), 1.0, quant..=quant);
+        let plans = plans.or_else(|_| self.cheapest(search, section, 1.0, QUANTS))?;
         let quant = plans.first().map_or(quant, |plan| plan.quant);
         Ok(Arc::new(Made { plans, prices: prices.clone(), quant }))
     }
@@ -569,8 +575,7 @@ impl Planner<'_> {
                 .enumerate()
                 .map(|(quant, &stay)| if stay > bits + change { best } else { quant });
             others.push(from.collect());
-            let mean = prices.iter().sum::<f64>() / prices.len().max(1) as f64;
-            let wanted = 0.5 * (mean - aim.per_step.ln());
+            let wanted = 0.5 * (mean(prices) - aim.per_step.ln());
             for (least, step) in least.iter_mut().zip(&steps) {
                 *least =
                     least.min(bits + change) + MISFIT * frame * prices.len() as f64 * (step - wanted).powi(2);

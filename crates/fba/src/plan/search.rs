@@ -377,15 +377,20 @@ impl<'a> Planner<'a> {
         });
         let (frame, bap, value) =
             largest.max_by_key(|(.., value)| value.unsigned_abs()).ok_or(EncodeError::NoIntra)?;
-        if self.options.bound() < FINEST_BOUND {
+        if self.promises_bound() && self.options.bound() < FINEST_BOUND {
             let what = "largest error";
             return Err(refused(what, self.options.bound(), "at least 0.15 degrees for all angles"));
         }
         Err(out_of_range(bap, PlaneKind::Intra, value, self.options.steps, *QUANTS.start()).at(frame))
     }
 
+    /// Whether no error may be larger than the bound: not where the rate is given.
+    fn promises_bound(&self) -> bool {
+        !matches!(self.options.mode, Target::Bitrate(_))
+    }
+
     /// The plans of some periods at one quantiser index; `None` if they cannot be coded so.
-    pub(super) fn with_quant(
+    fn with_quant(
         &self,
         search: &mut Search,
         mut periods: Range<usize>,
@@ -452,9 +457,7 @@ impl<'a> Planner<'a> {
                 && half_step > self.options.bound()
                 && input.iter().any(|&value| f64::from(value).abs() * degrees > self.options.bound())
         };
-        // Where the rate is given it is none.
-        let promised = !matches!(self.options.mode, Target::Bitrate(_));
-        if promised && inputs.iter().any(too_coarse) {
+        if self.promises_bound() && inputs.iter().any(too_coarse) {
             return None;
         }
         let count = frames.len();
@@ -563,7 +566,7 @@ impl<'a> Planner<'a> {
 }
 
 /// Error and λ-weighted bits of several plans together.
-pub(super) fn cost(plans: &[PeriodPlan]) -> f64 {
+fn cost(plans: &[PeriodPlan]) -> f64 {
     plans.iter().map(|plan| plan.cost).sum()
 }
 

@@ -125,18 +125,17 @@ impl Windows {
     /// Share by which a window of so many bits costs too much, or too little for what moves in it, at shares `held`.
     /// Too much counts for more.
     pub fn beyond(&self, span: usize, bits: f64, held: [f64; 2]) -> f64 {
-        let share = bits / self.bits;
-        TOO_MUCH * (share - held[1]).max(0.0) + (held[0] * self.lively[span] - share).max(0.0)
+        outside(bits / self.bits, self.lively[span], held)
     }
 
     /// The same for all of some windows, of so many bits and others.
     pub fn all_beyond(&self, windows: Range<usize>, bits: &[f64], more: &[f64], held: [f64; 2]) -> f64 {
         let (scale, lively) = (1.0 / self.bits, &self.lively[windows]);
-        let beyond = bits.iter().zip(more).zip(lively).map(|((bits, more), lively)| {
-            let share = (bits + more) * scale;
-            let [over, under] = [share - held[1], held[0] * lively - share];
-            TOO_MUCH * if over > 0.0 { over } else { 0.0 } + if under > 0.0 { under } else { 0.0 }
-        });
+        let beyond = bits
+            .iter()
+            .zip(more)
+            .zip(lively)
+            .map(|((bits, more), lively)| outside((bits + more) * scale, *lively, held));
         beyond.sum()
     }
 
@@ -174,6 +173,13 @@ impl Windows {
             [excess + self.beyond(index, sum, HELD), most.max(sum / self.bits)]
         })
     }
+}
+
+/// What a window that costs this share of its bits is outside the shares `held`, where so much of it is lively.
+fn outside(share: f64, lively: f64, held: [f64; 2]) -> f64 {
+    let [over, under] = [share - held[1], held[0] * lively - share];
+    // Quicker than the larger of two, which minds what is no number.
+    TOO_MUCH * if over > 0.0 { over } else { 0.0 } + if under > 0.0 { under } else { 0.0 }
 }
 
 /// How well a stream keeps to a rate.
