@@ -323,9 +323,9 @@ impl Segmenter {
     }
 
     /// As [`Segmenter::learn_clip`], from pictures of which no hand has come so far: one may have come in. `found` is what
-    /// these colours show in each of them, where nothing speaks against them. `None` where nothing moves before a camera that stands still, where
-    /// `found` is what moves, or where too few pictures show an open hand that moves. Of a camera that moves itself, colours
-    /// tell, if they may do so `alone`.
+    /// these colours show in each of them, where nothing speaks against them. `None` where nothing moves before a camera that
+    /// stands still, where `found` is what moves, or where too few pictures show an open hand that moves. Of a camera that
+    /// moves itself, colours tell, if they may do so `alone`.
     ///
     /// # Errors
     /// A picture is less than 16 pixels wide or high; [`SegmentOptions::max_side`] is below 64.

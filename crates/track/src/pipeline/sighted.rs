@@ -44,6 +44,11 @@ const FARTHEST: f64 = 1e6;
 /// Overlap of regions from which a sighting may be of the same hand.
 const SAME_REGION: f64 = 0.2;
 
+/// Whether two sightings may be of the same hand, by where they were looked for.
+fn share_region(a: &Sighting, b: &Sighting) -> bool {
+    a.region.overlap(&b.region) > SAME_REGION
+}
+
 /// A frame, the hands seen in it and their silhouettes, one each.
 pub(super) type Found = (Frame, Vec<Sighting>, Result<Vec<Silhouette>, VisionError>);
 
@@ -85,7 +90,7 @@ impl Followed {
 
     /// Whether it is about where this one was looked for.
     fn is_in(&self, hand: &Sighting) -> bool {
-        hand.region.overlap(&self.hand.region) > SAME_REGION
+        share_region(hand, &self.hand)
     }
 
     /// Whether it is a hand, whichever.
@@ -167,14 +172,11 @@ impl SightedSilhouettes {
                 self.finder.look_back(&frame.image, &missed, &mut found)?;
                 // One that moves fast may be seen already, farther away.
                 let is_new = |hand: &Sighting| {
-                    let same = |seen: &Sighting| hand.region.overlap(&seen.region) > SAME_REGION;
-                    !hands.iter().any(|seen| seen.presence > 0.0 && same(seen))
+                    !hands.iter().any(|seen| seen.presence > 0.0 && share_region(hand, seen))
                 };
                 found.retain(|hand| is_sound(hand) && is_new(hand));
                 // In the place of those that were kept where they had been.
-                let own = |held: &Sighting| {
-                    found.iter().any(|hand| hand.region.overlap(&held.region) > SAME_REGION)
-                };
+                let own = |held: &Sighting| found.iter().any(|hand| share_region(hand, held));
                 hands.retain(|hand| hand.presence > 0.0 || !own(hand));
                 hands.append(&mut found);
             }

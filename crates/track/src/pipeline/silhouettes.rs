@@ -262,34 +262,30 @@ impl Silhouettes {
         let samples: Vec<RgbImage> = waiting.iter().step_by(stride).map(|f| f.image.clone()).collect();
         let learnt = Segmenter::learn_clip(&samples, self.options.segment);
         self.time += begun.elapsed();
-        let mut segmenter = match learnt {
-            Ok(segmenter) => Box::new(segmenter),
+        let mut learnt = match learnt {
+            Ok(segmenter) => Ok(Box::new(segmenter)),
             Err(reason)
                 if last || !self.options.learn_again || matches!(reason, VisionError::Parameter { .. }) =>
             {
                 let reason = self.untaught.take().unwrap_or(reason);
                 return Err(ClipError::Learn { frames: self.frames, reason }.into());
             }
-            Err(reason) => {
-                self.untaught = Some(reason.clone());
-                for (i, frame) in waiting.into_iter().enumerate() {
-                    if let Some(recent) = self.recent.as_mut().filter(|_| i.is_multiple_of(stride)) {
-                        recent.add(&frame.image, &Err(reason.clone()), remembered);
-                    }
-                    self.hand_over(frame, Err(reason.clone()), Instant::now(), next)?;
-                }
-                return Ok(());
-            }
+            Err(reason) => Err(self.untaught.insert(reason).clone()),
         };
         for (i, frame) in waiting.into_iter().enumerate() {
             let begun = Instant::now();
-            let parts = segmenter.segment_all(&frame.image);
+            let parts = match &mut learnt {
+                Ok(segmenter) => segmenter.segment_all(&frame.image),
+                Err(reason) => Err(reason.clone()),
+            };
             if let Some(recent) = self.recent.as_mut().filter(|_| i.is_multiple_of(stride)) {
                 recent.add(&frame.image, &parts, remembered);
             }
             self.hand_over(frame, parts, begun, next)?;
         }
-        self.way = Way::Colour(segmenter);
+        if let Ok(segmenter) = learnt {
+            self.way = Way::Colour(segmenter);
+        }
         Ok(())
     }
 
