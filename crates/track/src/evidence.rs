@@ -74,7 +74,8 @@ pub struct Evidence {
     /// For each cell of the window the nearest of `points`.
     nearest: Vec<u16>,
     cells: (usize, usize),
-    /// Mean luminance of each cell; empty without a picture.
+    /// Share of each cell that the silhouette covers, and mean luminance of those that it meets; empty without a picture.
+    covered: Vec<f32>,
     coarse: Vec<f32>,
     /// Joints that a finder has seen.
     joints: Option<JointPlaces>,
@@ -122,6 +123,7 @@ impl Evidence {
             }
         }
         self.map_nearest();
+        self.covered.clear();
         self.coarse.clear();
         if let Some(image) = image {
             self.load_luma(image, factor);
@@ -140,33 +142,48 @@ impl Evidence {
         self.joints.as_ref()
     }
 
-    /// The mean luminance of the pixels of `image` in each cell.
+    /// The share of each cell that the silhouette covers, and the mean luminance of the pixels of `image` where it covers any.
     fn load_luma(&mut self, image: &RgbImage, factor: u32) {
+        let (cw, ch) = self.cells;
+        let silhouette = self.window.silhouette();
+        self.covered.resize(cw * ch, 0.0);
+        for y in 0..silhouette.height() {
+            let row = &mut self.covered[y as usize / CELL * cw..][..cw];
+            for (start, end) in silhouette.runs(y) {
+                (start..end).for_each(|x| row[x as usize / CELL] += 1.0 / (CELL * CELL) as f32);
+            }
+        }
         let [x0, y0] = self.window.origin().map(|v| v as usize * factor as usize);
         let side = CELL * factor as usize;
         let (width, height) = (image.width() as usize, image.height() as usize);
-        for cy in 0..self.cells.1 {
-            for cx in 0..self.cells.0 {
-                let (mut sum, mut count) = (0u32, 0u32);
-                for y in (y0 + cy * side..y0 + (cy + 1) * side).take_while(|&y| y < height) {
-                    let start = (x0 + cx * side).min(width);
-                    let end = (start + side).min(width);
-                    let row = image.as_raw().get(3 * (y * width + start)..3 * (y * width + end));
-                    for p in row.unwrap_or(&[]).as_chunks::<3>().0 {
-                        sum +=
-                            LUMA[0] * u32::from(p[0]) + LUMA[1] * u32::from(p[1]) + LUMA[2] * u32::from(p[2]);
-                        count += 256;
-                    }
+        self.coarse.resize(cw * ch, 0.0);
+        let cells = self.coarse.iter_mut().zip(&self.covered).enumerate();
+        for (i, (mean, _)) in cells.filter(|(_, (_, covered))| **covered > 0.0) {
+            let (top, left) = (y0 + i / cw * side, x0 + i % cw * side);
+            let (start, end) = (left.min(width), (left + side).min(width));
+            let (mut sums, mut count) = ([0u32; 3], 0);
+            for y in top..(top + side).min(height) {
+                let row = image.as_raw().get(3 * (y * width + start)..3 * (y * width + end));
+                let row = row.unwrap_or(&[]).as_chunks::<3>().0;
+                for p in row {
+                    sums.iter_mut().zip(p).for_each(|(sum, &v)| *sum += u32::from(v));
                 }
-                self.coarse.push(sum as f32 / count.max(1) as f32);
+                count += 256 * row.len() as u32;
             }
+            let sum: u32 = sums.iter().zip(LUMA).map(|(sum, weight)| weight * sum).sum();
+            *mean = sum as f32 / count.max(1) as f32;
         }
     }
 
-    /// Mean luminance of the squares of two pixels of the window, row by row, and the length of a row; empty
-    /// without a picture.
+    /// Mean luminance of the squares of two pixels of the window that the silhouette meets (0 of the others), row by row, and
+    /// the length of a row; empty without a picture.
     pub(super) fn coarse_luma(&self) -> (&[f32], usize) {
         (&self.coarse, self.cells.0)
+    }
+
+    /// Share of each of these squares that the silhouette covers, 0 to 1.
+    pub(super) fn covered(&self) -> &[f32] {
+        &self.covered
     }
 
     /// Whether there is a picture.
@@ -320,10 +337,14 @@ mod tests {
             assert!(evidence.load(&silhouette(), None, Some(&image), factor).unwrap());
             let (luma, width) = evidence.coarse_luma();
             let left = evidence.window().origin()[0] * f64::from(factor);
-            for (k, &v) in luma[..width - 1].iter().enumerate() {
-                let middle = left + (k as f64 + 0.5) * f64::from(2 * factor) - 0.5;
-                assert!((f64::from(v) - middle).abs() < 0.01, "{factor}: {v} {middle}");
+            let mut seen = 0;
+            for (i, (&v, &covered)) in luma.iter().zip(evidence.covered()).enumerate() {
+                let middle = left + ((i % width) as f64 + 0.5) * f64::from(2 * factor) - 0.5;
+                assert_eq!(covered > 0.0, v > 0.0);
+                assert!(covered == 0.0 || (f64::from(v) - middle).abs() < 0.01, "{factor}: {v} {middle}");
+                seen += usize::from(covered == 1.0);
             }
+            assert!(seen > 100, "{seen}");
         }
     }
 }

@@ -37,6 +37,7 @@ pub use solver::Registered;
 
 use super::evidence::Evidence;
 use super::model::HandModel;
+use super::normal_equations::NormalEquations;
 use super::state::ModelState;
 use flow::FlowTracker;
 use hypotheses::Hypotheses;
@@ -105,10 +106,11 @@ impl Registration {
         self.solver.objective.evaluations()
     }
 
-    /// Moves `state`, the last one, to where model and evidence agree best: from the predicted state, from the same with
-    /// fingers in other postures, and from what was found with one finger folded more or less; and, in turns while the
-    /// frame costs no more than the last ones, from the last state, from a thumb bent across the palm, from hands whose
-    /// fingers close together, and from known postures with similar silhouettes.
+    /// Moves `state`, the last one, to where model and evidence agree best: from the predicted state and, unless that leads to
+    /// where a finder has seen the joints, from the same with fingers in other postures, and from what was found with one
+    /// finger folded more or less; and, in turns while the frame costs no more than the last ones, from the last state, from
+    /// a thumb bent across the palm, from hands whose fingers close together, and from known postures with similar
+    /// silhouettes.
     pub fn register(
         &mut self,
         model: &mut HandModel,
@@ -129,40 +131,58 @@ impl Registration {
         other: Option<ModelState>,
     ) -> Registered {
         let scene = &mut Scene { model, evidence, prior };
-        let Self { solver, hypotheses, .. } = self;
-        let t = solver.tuning.hypotheses;
+        let solver = &mut self.solver;
         let last = std::mem::replace(state, prior.predicted.clone());
         let first = solver.linearise(scene, state, 0.0, None);
         let mut best = solver.refine(scene, state, 0..solver.tuning.rounds.most, Some(&first));
         if let Some(other) = other {
             solver.try_hypothesis(scene, other, state, &mut best);
         }
-        let unlikely = self.mean_cost.is_none_or(|mean| best.cost > mean + t.unlikely_beyond);
         self.frame += 1;
-        let turn = Turn::of(self.frame);
-        let due = |hypotheses: Turn| unlikely || turn == hypotheses;
-        if due(Turn::LastState) && largest_difference(&last.free, &prior.predicted.free) > t.moving {
-            solver.try_hypothesis(scene, last, state, &mut best);
+        // Where a finder has seen the hand like this, other postures are worse.
+        let agrees = solver.agrees(scene, state);
+        if !agrees {
+            self.try_others((last, &first), scene, state, &mut best);
         }
-        if let Some(bent) = hypotheses::bent_fingers(solver, scene, prior.predicted, &first) {
-            solver.try_hypothesis(scene, bent, state, &mut best);
-        }
-        hypotheses::try_folded(solver, scene, state, &mut best);
-        if due(Turn::Closing)
-            && let Some(closing) = hypotheses::closing_hand(solver, scene, state, best.rate)
-        {
-            solver.try_hypothesis(scene, closing, state, &mut best);
-        }
-        if due(Turn::LastState) && state.thumb_mcp.abs() > t.thumb_beyond {
-            let thumb = hypotheses::bent_thumb(solver, scene, state);
-            solver.try_hypothesis(scene, thumb, state, &mut best);
-        }
-        if due(Turn::Known) {
-            hypotheses.try_known(solver, scene, state, &mut best);
-        }
+        let t = self.solver.tuning.hypotheses;
         let mean = self.mean_cost.get_or_insert(best.cost);
         *mean += if best.cost < *mean { t.mean_falls } else { t.mean_rises } * (best.cost - *mean);
         best
+    }
+
+    /// Tries the other hypotheses, and keeps what costs less than `best` at `state`; `first` are the normal equations around
+    /// the predicted state, `last` is the last one.
+    fn try_others(
+        &mut self,
+        (last, first): (ModelState, &NormalEquations),
+        scene: &mut Scene<'_>,
+        state: &mut ModelState,
+        best: &mut Registered,
+    ) {
+        let Self { solver, hypotheses, .. } = self;
+        let (prior, t) = (scene.prior, solver.tuning.hypotheses);
+        let unlikely = self.mean_cost.is_none_or(|mean| best.cost > mean + t.unlikely_beyond);
+        let turn = Turn::of(self.frame);
+        let due = |hypotheses: Turn| unlikely || turn == hypotheses;
+        if due(Turn::LastState) && largest_difference(&last.free, &prior.predicted.free) > t.moving {
+            solver.try_hypothesis(scene, last, state, best);
+        }
+        if let Some(bent) = hypotheses::bent_fingers(solver, scene, prior.predicted, first) {
+            solver.try_hypothesis(scene, bent, state, best);
+        }
+        hypotheses::try_folded(solver, scene, state, best);
+        if due(Turn::Closing)
+            && let Some(closing) = hypotheses::closing_hand(solver, scene, state, best.rate)
+        {
+            solver.try_hypothesis(scene, closing, state, best);
+        }
+        if due(Turn::LastState) && state.thumb_mcp.abs() > t.thumb_beyond {
+            let thumb = hypotheses::bent_thumb(solver, scene, state);
+            solver.try_hypothesis(scene, thumb, state, best);
+        }
+        if due(Turn::Known) {
+            hypotheses.try_known(solver, scene, state, best);
+        }
     }
 
     /// What the last frames have come to, to be gone back to behind a search that nothing came of.

@@ -290,9 +290,27 @@ fn column_distances(mask: &Mask, to: bool) -> Vec<u32> {
     columns
 }
 
-/// Squared distances along a row from the distances along its columns: the lower envelope of a parabola for each pixel
-/// whose column distance is below `limit`. `apexes` is scratch.
+/// Squared distances along a row from the distances along its columns. Pixels at distance 0 part the row: between two of
+/// them nothing beyond is nearer. `apexes` is scratch.
 fn row_distances(column: &[u32], limit: u32, apexes: &mut Vec<(usize, i64)>, row: &mut [u32]) {
+    let width = column.len();
+    let mut begin = 0;
+    while begin < width {
+        if column[begin] == 0 {
+            row[begin] = 0;
+            begin += 1;
+            continue;
+        }
+        let end = begin + column[begin..].iter().take_while(|&&g| g > 0).count();
+        let (first, last) = (begin.saturating_sub(1), (end + 1).min(width));
+        lower_envelope(&column[first..last], limit, apexes, &mut row[first..last]);
+        begin = end;
+    }
+}
+
+/// Squared distances along a piece of a row: the lower envelope of a parabola for each pixel whose column distance is below
+/// `limit`. `apexes` is scratch.
+fn lower_envelope(column: &[u32], limit: u32, apexes: &mut Vec<(usize, i64)>, row: &mut [u32]) {
     let width = column.len();
     let at = |x: i64, u: usize| {
         let g = i64::from(column[u]);
@@ -344,7 +362,7 @@ pub fn open_disc(mask: &Mask, radius: f64) -> Mask {
 
 /// The pixels whose centres are at most `radius` pixels from that of the nearest pixel whose value is `to`: what
 /// [`DistanceMap::to_value`] tells, without the distances.
-fn within(mask: &Mask, to: bool, radius: f64) -> Mask {
+pub(crate) fn within(mask: &Mask, to: bool, radius: f64) -> Mask {
     let (width, height) = (mask.width() as usize, mask.height() as usize);
     let mut out = Mask::new(mask.width(), mask.height());
     // Less than what a column without such a pixel has, more than any distance.

@@ -17,7 +17,7 @@ use thiserror::Error;
 use super::chamfer::outline;
 use super::colour::{ColourModel, Counts, cell, limited, ycc};
 use super::mask::{Mask, PixelRect};
-use super::morphology::{Components, DistanceMap, dilate, erode, invert, largest_component};
+use super::morphology::{Components, dilate, erode, invert, largest_component, within};
 use super::parts::find_parts;
 use super::still::StillBackground;
 use super::wrist::{InscribedCircle, Wrist, WristTuning, cut_arm};
@@ -634,7 +634,7 @@ fn over_exposed(samples: &[RgbImage], what: &str) -> VisionError {
 fn border_far_from(part: &Mask, tuning: &LearningTuning) -> Mask {
     let (w, h) = (part.width(), part.height());
     let far = f64::from(w.max(h)) * tuning.border_distance;
-    let mut far = DistanceMap::to_value(part, true).select(|d| f64::from(d) > far * far);
+    let mut far = invert(&within(part, true, far));
     let [inner_x, inner_y] = [w, h].map(|side| {
         let border = (f64::from(side) * tuning.border_width) as u32;
         border..side.saturating_sub(border)

@@ -103,7 +103,7 @@ impl Contest {
         }
     }
 
-    /// What the frames say, and whether that is decided; `None` while the sum is small.
+    /// Which view the frames speak for, and whether that is decided; `None` while the sum is small.
     pub(super) fn view(&self, tuning: &ContestTuning) -> Option<(View, bool)> {
         self.odds.view(tuning)
     }
@@ -126,8 +126,9 @@ impl Odds {
     fn view(&self, tuning: &ContestTuning) -> Option<(View, bool)> {
         let Self { palm, back } = *self;
         let view = if palm > back { View::Palm } else { View::Back };
-        let decided = palm.min(back) <= tuning.opposed * palm.max(back);
-        ((palm - back).abs() >= tuning.settled_odds).then_some((view, decided))
+        let sum = (palm - back).abs();
+        let decided = sum >= tuning.settled_odds && palm.min(back) <= tuning.opposed * palm.max(back);
+        (sum >= tuning.leaning_odds).then_some((view, decided))
     }
 }
 
@@ -192,6 +193,7 @@ mod tests {
         assert_eq!(view(&[t.settled_odds]), Some((View::Palm, true)));
         assert_eq!(view(&[2.0, -2.0 - t.settled_odds]), Some((View::Back, true)));
         assert_eq!(view(&[2.0 * t.settled_odds, -t.settled_odds]), Some((View::Palm, false)));
-        assert_eq!(view(&[t.settled_odds, -2.0]), None);
+        assert_eq!(view(&[2.0, -2.0 - t.leaning_odds]), Some((View::Back, false)));
+        assert_eq!(view(&[2.0, -1.0 - t.leaning_odds]), None);
     }
 }

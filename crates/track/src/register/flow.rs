@@ -76,8 +76,6 @@ pub(super) struct FlowTracker {
     picture: Pyramid,
     /// Whether `picture` is that of the present frame.
     present: bool,
-    /// Share of each cell that the silhouette covers.
-    covered: Vec<f32>,
     points: Vec<Point>,
     spheres: Vec<ProjectedSphere>,
     cover: Cover,
@@ -167,16 +165,10 @@ impl FlowTracker {
     /// Loads the picture of `evidence`: luminance beside its mean on the hand. False when there is none.
     fn load(&mut self, evidence: &Evidence) -> bool {
         let (luma, width) = evidence.coarse_luma();
-        let silhouette = evidence.window().silhouette();
-        self.covered.clear();
-        self.covered.extend((0..luma.len()).map(|i| {
-            let [x, y] = [i % width.max(1), i / width.max(1)].map(|v| (v * COARSE as usize) as u32);
-            let corners = [(x, y), (x + 1, y), (x, y + 1), (x + 1, y + 1)];
-            0.25 * corners.into_iter().filter(|&(x, y)| silhouette.get(x, y)).count() as f32
-        }));
-        let cells = luma.iter().zip(&self.covered);
+        let covered = evidence.covered();
+        let cells = luma.iter().zip(covered);
         let sum: f32 = cells.clone().map(|(v, covered)| covered * v).sum();
-        let area: f32 = self.covered.iter().sum();
+        let area: f32 = covered.iter().sum();
         if area <= 0.0 {
             return false;
         }

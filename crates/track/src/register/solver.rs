@@ -101,6 +101,12 @@ impl Solver {
         self.landmarks.distance(model, state, seen)
     }
 
+    /// Whether the joints of `state` are where a finder has seen them.
+    pub(super) fn agrees(&self, scene: &Scene<'_>, state: &ModelState) -> bool {
+        let seen = scene.evidence.joints();
+        seen.is_some_and(|seen| self.joints_away(scene.model, seen, state) < self.tuning.landmarks.agrees)
+    }
+
     /// Moves `state` in these rounds of all. `first` are the normal equations of the first of them, if known.
     pub(super) fn refine(
         &mut self,
