@@ -172,6 +172,21 @@ impl Landmarks {
         places
     }
 
+    /// How far each joint of the model is from where it was seen, pixels, and the loss of that.
+    fn differences(
+        &self,
+        model: &HandModel,
+        state: &ModelState,
+        seen: &JointPlaces,
+    ) -> [([f64; 2], Loss); JOINTS] {
+        let hand = HAND_LENGTH * state.scale;
+        let (places, deviations) = (self.places(model, state), deviations(seen, model.side(), &self.tuning));
+        std::array::from_fn(|joint| {
+            let away = [0, 1].map(|k| places[joint][k] - seen[joint][k]);
+            (away, self.tuning.loss(deviations[joint], hand))
+        })
+    }
+
     /// Gives each residual: its gradient by parameter, its value in pixels, its loss.
     fn residuals(
         &self,
@@ -180,10 +195,7 @@ impl Landmarks {
         seen: &JointPlaces,
         mut add: impl FnMut(&[(usize, f64)], f64, Loss),
     ) {
-        let hand = HAND_LENGTH * state.scale;
-        let deviations = deviations(seen, model.side(), &self.tuning);
-        for ((joint, to), at) in seen.iter().enumerate().zip(self.places(model, state)) {
-            let loss = self.tuning.loss(deviations[joint], hand);
+        for (joint, (away, loss)) in self.differences(model, state, seen).into_iter().enumerate() {
             let by_pose = self.by_pose(joint, spheres);
             for axis in 0..2 {
                 let mut gradient = [(axis, 1.0); COLUMNS];
@@ -198,7 +210,7 @@ impl Landmarks {
                         count -= 1;
                     }
                 }
-                add(&gradient[..count], at[axis] - to[axis], loss);
+                add(&gradient[..count], away[axis], loss);
             }
         }
     }
@@ -211,14 +223,10 @@ impl Landmarks {
         state: &ModelState,
         seen: &JointPlaces,
     ) {
-        let hand = HAND_LENGTH * state.scale;
-        let deviations = deviations(seen, model.side(), &self.tuning);
-        for ((joint, to), at) in seen.iter().enumerate().zip(self.places(model, state)) {
-            let loss = self.tuning.loss(deviations[joint], hand);
+        for (joint, (away, loss)) in self.differences(model, state, seen).into_iter().enumerate() {
             let Some(of) = self.spheres_of(joint) else { continue };
             let Some((finger, columns)) = self.by_pose(joint, spheres) else { continue };
-            for axis in 0..2 {
-                let residual = at[axis] - to[axis];
+            for (axis, residual) in away.into_iter().enumerate() {
                 let gradient = (finger, columns.map(|column| column[axis]));
                 sizes.add_joint((of, axis), residual, loss.weight(residual), &gradient);
             }
