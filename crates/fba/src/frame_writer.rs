@@ -20,6 +20,15 @@ const P_HEADER: PlaneHeader = PlaneHeader {
 /// Frames that a plane may skip for decoders to take it, by [`Limits`](super::Limits).
 const MOST_SKIPPED: u32 = 65_535;
 
+/// Bits of a header that says that no frame is skipped, over those of one that says nothing of it.
+const EXPLICIT_SKIP: u64 = 4;
+
+/// Bits of the planes that say nothing, three each, from this place to the end of a byte.
+fn filled(place: u64) -> u64 {
+    // Eight of them end where they began.
+    3 * (3 * ((8 - place % 8) % 8) % 8)
+}
+
 /// A plane that stands for frames left out.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Still {
@@ -100,9 +109,26 @@ impl FrameWriter {
         start_code: bool,
         params: Option<&IntraParams>,
     ) -> Result<PlaneBits, EncodeError> {
+        let mut bits = self.write_skipped()?;
+        bits += self.write_plane(header, start_code, params)?;
+        Ok(bits)
+    }
+
+    /// Writes the plane that stands for frames left out, if there are any, before another.
+    fn write_skipped(&mut self) -> Result<PlaneBits, EncodeError> {
         let frames = self.skipped;
-        let mut bits = self.write_still()?;
+        let bits = self.write_still()?;
         self.last_still = (frames > 0).then(|| Still { frames, bits: bits.total() });
+        Ok(bits)
+    }
+
+    /// Writes `levels`, behind what stands for frames left out.
+    fn write_plane(
+        &mut self,
+        header: &PlaneHeader,
+        start_code: bool,
+        params: Option<&IntraParams>,
+    ) -> Result<PlaneBits, EncodeError> {
         if params.is_none() {
             // Where the still plane had to change a value, this one takes it back.
             for (level, still) in self.levels.iter_mut().zip(&self.still) {
@@ -113,8 +139,7 @@ impl FrameWriter {
         self.frames += 1;
         self.planes += 1;
         self.bits += plane;
-        bits += plane;
-        Ok(bits)
+        Ok(plane)
     }
 
     /// Writes a plane without change for the frames left out, if there are any.
@@ -195,6 +220,16 @@ impl FrameWriter {
         Ok(bits)
     }
 
+    /// Writes `levels` as a P plane, behind which [`Self::align`] has little to do: where fewer bits are left to a byte's end
+    /// then, its header says that no frame is skipped, which takes four bits more.
+    pub(super) fn write_aligned(&mut self) -> Result<PlaneBits, EncodeError> {
+        let mut bits = self.write_skipped()?;
+        let end = self.writer.position() + self.price_still()? as u64;
+        let explicit_skip = EXPLICIT_SKIP + filled(end + EXPLICIT_SKIP) < filled(end);
+        bits += self.write_plane(&PlaneHeader { explicit_skip, ..P_HEADER }, false, None)?;
+        Ok(bits)
+    }
+
     /// Writes `levels` as a P plane.
     pub(super) fn write_predicted(&mut self) -> Result<PlaneBits, EncodeError> {
         self.write(&P_HEADER, false, None)
@@ -206,5 +241,18 @@ impl FrameWriter {
         // No change is always in range, so this cannot fail.
         let _ = self.write_still();
         self.writer.finish()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn planes_that_say_nothing_fill_bytes() {
+        for place in 0..16 {
+            let bits = filled(place);
+            assert!(bits % 3 == 0 && (place + bits) % 8 == 0 && bits < 24, "{place}: {bits}");
+        }
     }
 }

@@ -300,7 +300,7 @@ impl LiveEncoder {
             self.out.skip();
             return Ok(PlaneBits::default());
         }
-        self.out.write_predicted()
+        if self.options.aligned { self.out.write_aligned() } else { self.out.write_predicted() }
     }
 
     /// Makes the next plane an I plane that says everything, as soon as the rate has room for one.
