@@ -16,6 +16,8 @@ use crate::bap::{BAP_COUNT, Bap, BapFrame, BapMask};
 const WORTH_SENDING: f64 = 0.05;
 /// What a change that left its range is multiplied with to give the next range.
 const WIDENING: f64 = 1.3;
+/// The same where planes are sent one by one as they come: an I plane out of turn is ten of the others, and comes late.
+const WIDENING_SENT: f64 = 1.6;
 /// Share of that for other BAPs of the same kind.
 const KINSHIP: f64 = 0.5;
 /// What the largest change seen is multiplied with when ranges are chosen anew.
@@ -99,8 +101,9 @@ impl LiveEncoder {
     /// the other BAPs of their kind to some degree, as fingers move together.
     pub(super) fn widen(&mut self) {
         let mask = self.mask();
+        let widening = if self.options.aligned { WIDENING_SENT } else { WIDENING };
         for &(bap, wanted) in &self.outgrown {
-            let wide = (wanted as f64 * WIDENING) as i64;
+            let wide = (wanted as f64 * widening) as i64;
             let kin = (wide as f64 * KINSHIP) as i64;
             for other in mask.iter().filter(|other| Kind::of(*other) == Kind::of(bap)) {
                 let reach = if other == bap { wide } else { kin };
