@@ -252,7 +252,10 @@ mod tests {
     fn planes_that_say_nothing_fill_bytes() {
         for place in 0..16 {
             let bits = filled(place);
-            assert!(bits % 3 == 0 && (place + bits) % 8 == 0 && bits < 24, "{place}: {bits}");
+            assert!(
+                bits.is_multiple_of(3) && (place + bits).is_multiple_of(8) && bits < 24,
+                "{place}: {bits}"
+            );
         }
     }
 }

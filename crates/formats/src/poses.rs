@@ -862,7 +862,7 @@ mod tests {
         let line = |n: usize| {
             let bend = n % 90;
             let line = format!("{{\"t\":{n},\"hand\":\"right\",\"angles\":{{\"index1_flexion\":{bend}}}}}");
-            line + &"\n".repeat(if n % 1000 == 0 { 8 } else { 1 })
+            line + &"\n".repeat(if n.is_multiple_of(1000) { 8 } else { 1 })
         };
         let lines: Vec<String> = (0..count).map(line).collect();
         let both = |lines: &[String], header: &str| {
