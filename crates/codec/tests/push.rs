@@ -549,10 +549,6 @@ fn aligned_planes_give_their_poses_at_once() {
     }
     assert!(planes > 60, "{planes}");
     stream.extend(encoder.finish().unwrap().bytes);
-    // The same planes one behind the other: what fills their bytes takes 6.5 bits where all places are as likely.
-    let plain = encode_poses(&clip, Profile::Hand, &PlanOptions { aligned: false, ..plan }).unwrap().stream;
-    let filled = 8.0 * (stream.len() - plain.len()) as f64 / f64::from(planes);
-    assert!((4.0..8.0).contains(&filled), "{filled}");
     assert_eq!(decode_poses(&stream, None, DecoderOptions::default()).unwrap().clip.frames.len(), 400);
 }
 

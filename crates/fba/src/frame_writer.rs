@@ -247,6 +247,26 @@ impl FrameWriter {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::bap::Bap;
+    use crate::plan::{LiveEncoder, PlanOptions, Target};
+
+    /// Bits that planes of all lengths take more where each ends with a byte: 6.5 in the middle, 10.5 with planes that say nothing
+    /// alone.
+    #[test]
+    fn bytes_are_filled_with_little() {
+        let baps: Vec<Bap> = (1..=3).filter_map(|k| Bap::from_name(&format!("r_index{k}_flexion"))).collect();
+        let frame = |n: i32| -> BapFrame {
+            let bend = |k: usize| -20_000 - ((n * (k as i32 + 3)) % 41 - 20).abs() * 300;
+            baps.iter().enumerate().map(|(k, &bap)| (bap, bend(k))).collect()
+        };
+        let bits = [true, false].map(|aligned| {
+            let options = PlanOptions { mode: Target::Quant(4), aligned, ..PlanOptions::default() };
+            let mut encoder = LiveEncoder::new(&options).unwrap();
+            (0..1000).map(|n| encoder.write_frame(&frame(n)).unwrap().total()).sum::<u64>()
+        });
+        let filled = (bits[0] - bits[1]) as f64 / 1000.0;
+        assert!((5.5..7.5).contains(&filled), "{filled}");
+    }
 
     #[test]
     fn planes_that_say_nothing_fill_bytes() {
