@@ -16,6 +16,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::Context as _;
 use handcast_fba::plan::{PlanOptions, Target};
+use handcast_hand::smooth::SmoothOptions;
 use handcast_live::page;
 use handcast_live::sender::{LivePoseEncoderOptions, PoseSender};
 use handcast_live::server::{Server, ServerOptions, Tls, check_room, random_token};
@@ -83,8 +84,8 @@ pub struct Args {
     /// Kilobits per second, in place of an error
     #[arg(long, value_name = "KBPS", conflicts_with = "target_rms", value_parser = positive)]
     bitrate: Option<f64>,
-    /// Seconds from one I plane to the next
-    #[arg(long, value_name = "S", default_value_t = 5.0, value_parser = positive)]
+    /// Seconds from one I plane to the next; who misses planes asks for one earlier
+    #[arg(long, value_name = "S", default_value_t = 10.0, value_parser = positive)]
     intra: f64,
     /// Planes in a message, 1 to 4; each more spares headers, and costs up to a frame's time
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=4))]
@@ -125,8 +126,9 @@ impl Args {
     /// What poses are coded for.
     fn sender(&self, rate: f64) -> LivePoseEncoderOptions {
         let mode = self.bitrate.map_or(Target::Rms(self.target_rms), Target::Bitrate);
-        let plan = PlanOptions { mode, intra_seconds: self.intra, ..PlanOptions::default() };
-        LivePoseEncoderOptions::default().with_rate(rate).with_plan(plan).with_profile(self.profile.into())
+        let usual = LivePoseEncoderOptions::default();
+        let plan = PlanOptions { mode, intra_seconds: self.intra, ..usual.plan };
+        usual.with_rate(rate).with_plan(plan).with_profile(self.profile.into())
     }
 
     fn server(&self) -> anyhow::Result<ServerOptions> {
@@ -211,6 +213,8 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let mut track = args.track.options(&info)?;
     // What is sent live cannot wait for fingers to bend.
     track.tuning.contest.undecided = 0;
+    // Trembling costs bits, and what follows it at once shows none of it.
+    track.smooth = args.track.smooth_or(Some(SmoothOptions::live()));
     // Nor is what was before a hand came of interest.
     track.learn_again = false;
     let server = Server::start(options).with_context(|| format!("cannot serve at {}", args.bind))?;

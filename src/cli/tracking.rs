@@ -56,16 +56,16 @@ pub struct TrackArgs {
     #[arg(long, value_enum, default_value = "open")]
     start: StartArg,
     /// Smooth the poses as they come (1€ filter): cut-off at rest in Hz, and its growth in Hz per degree per
-    /// second [default when given alone: 1,0.05]
+    /// second, or off [default when given alone: 1,0.05; of live without it: 5,0.5]
     #[arg(
         long,
         value_name = "MIN_CUTOFF,BETA",
         num_args = 0..=1,
         require_equals = true,
         default_missing_value = "1,0.05",
-        value_parser = smoothing
+        value_parser = Smoothing::parse
     )]
-    smooth: Option<SmoothOptions>,
+    smooth: Option<Smoothing>,
     /// Wrist to middle fingertip, millimetres, 50 to 400 [default: 189]
     #[arg(long, value_name = "MM", value_parser = hand_length)]
     hand_length_mm: Option<f64>,
@@ -145,6 +145,20 @@ fn advised(error: ClipError, by_colours: bool) -> anyhow::Error {
         advice += "; networks, of which `handcast net` tells, find hands by more than colours";
     }
     Refused(format!("{error}{advice}")).into()
+}
+
+/// What is said of smoothing poses as they come.
+#[derive(Clone, Copy, Debug)]
+enum Smoothing {
+    Off,
+    By(SmoothOptions),
+}
+
+impl Smoothing {
+    /// `MIN_CUTOFF,BETA` or `off`.
+    fn parse(text: &str) -> Result<Self, String> {
+        if text == "off" { Ok(Self::Off) } else { smoothing(text).map(Self::By).map_err(|e| e + ", or off") }
+    }
 }
 
 /// `MIN_CUTOFF,BETA`.
@@ -294,9 +308,18 @@ impl TrackArgs {
         self.hand.known()
     }
 
+    /// How poses are smoothed, where nothing is said of it as usual.
+    pub fn smooth_or(&self, usual: Option<SmoothOptions>) -> Option<SmoothOptions> {
+        match self.smooth {
+            Some(Smoothing::Off) => None,
+            Some(Smoothing::By(options)) => Some(options),
+            None => usual,
+        }
+    }
+
     /// Whether poses are smoothed.
     pub fn smooths(&self) -> bool {
-        self.smooth.is_some()
+        self.smooth_or(None).is_some()
     }
 
     /// Opens a clip and its masks.
@@ -335,7 +358,7 @@ impl TrackArgs {
             StartArg::Open => Start::Open,
             StartArg::Any => Start::Any,
         };
-        options.smooth = self.smooth;
+        options.smooth = self.smooth_or(None);
         options.threads = self.threads.into();
         if let Some(length) = self.hand_length_mm {
             options.hand_length = length;
@@ -366,7 +389,7 @@ impl TrackArgs {
             mirror: self.mirror,
             start_any: matches!(self.start, StartArg::Any),
             person,
-            smooth: self.smooth.map(|smooth| [smooth.min_cutoff, smooth.beta]),
+            smooth: self.smooth_or(None).map(|smooth| [smooth.min_cutoff, smooth.beta]),
             hand_length: self.hand_length_mm.unwrap_or(TrackSettings::default().hand_length),
             field_of_view: self.fov,
             finder,

@@ -11,7 +11,7 @@ use handcast_limits::{Excess, Limit, Limits};
 use crate::beat::rate_of_rounded;
 use crate::damage::Damage;
 use crate::decoder::{PlaneTotals, PoseDecoder, PoseDecoderOptions, hand_of, header_of, told_profile};
-use crate::encoder::{Holder, Moment, PoseEncoder};
+use crate::encoder::{Holder, Moment, PoseEncoder, Ready};
 use crate::error::{PosesToStreamError, StreamToPosesError, is_passed_over};
 use crate::mapping::{Profile, sides};
 use crate::ties::hand_ties;
@@ -42,10 +42,10 @@ pub fn bap_frames(clip: &PoseClip, profile: Profile) -> Result<Vec<TimedBapFrame
             moment.poses[timed.pose.side as usize] = Some(Box::new(timed.pose.clone()));
         }
         holder.take(moment);
-        frames.extend(std::iter::from_fn(|| holder.next().map(|ready| ready.frame)));
+        frames.extend(std::iter::from_fn(|| holder.next().map(Ready::frame)));
     }
     holder.settle();
-    frames.extend(std::iter::from_fn(|| holder.next().map(|ready| ready.frame)));
+    frames.extend(std::iter::from_fn(|| holder.next().map(Ready::frame)));
     if holder.is_complete() {
         Ok(frames)
     } else {
@@ -76,15 +76,13 @@ pub fn clip_rate(clip: &PoseClip) -> f64 {
 pub fn on_ticks(clip: &PoseClip, rate: f64) -> PoseClip {
     let mut out = PoseClip { header: clip.header.clone(), frames: Vec::with_capacity(clip.frames.len()) };
     out.header.rate = Some(rate);
-    out.frames
-        .extend([Side::Left, Side::Right].into_iter().flat_map(|side| track_on_ticks(clip, side, rate)));
+    out.frames.extend(tracks_on_ticks(clip, rate).into_iter().flatten());
     out
 }
 
 /// The poses of [`on_ticks`] one by one, in order of time: as a [`PoseEncoder`] takes them.
 pub fn poses_on_ticks(clip: &PoseClip, rate: f64) -> impl Iterator<Item = TimedPose> + Send + '_ {
-    let [mut left, mut right] =
-        [Side::Left, Side::Right].map(|side| track_on_ticks(clip, side, rate).peekable());
+    let [mut left, mut right] = tracks_on_ticks(clip, rate).map(Iterator::peekable);
     std::iter::from_fn(move || match (left.peek(), right.peek()) {
         (Some(l), Some(r)) if r.time < l.time => right.next(),
         (Some(_), _) => left.next(),
@@ -95,42 +93,59 @@ pub fn poses_on_ticks(clip: &PoseClip, rate: f64) -> impl Iterator<Item = TimedP
 /// Whether [`on_ticks`] keeps the poses of a clip as they are, but for one in some hundreds where its clock is faster than the
 /// ticks.
 pub fn poses_keep(clip: &PoseClip, rate: f64) -> bool {
-    [Side::Left, Side::Right].into_iter().all(|side| own_ticks_of(clip, side, rate).is_ok())
+    own_ticks_of(clip, rate).iter().all(Result::is_ok)
 }
 
-/// A tick of its own for each pose of one hand, or where they are in ticks. Poses of one instant have one tick, whichever hand
-/// they are of.
-fn own_ticks_of(clip: &PoseClip, side: Side, rate: f64) -> Result<Vec<Option<f64>>, Vec<f64>> {
-    let start = clip.frames.iter().map(|f| f.time).fold(f64::INFINITY, f64::min);
-    let tick = |f: &TimedPose| (f.time - start) * rate;
-    let mut all: Vec<f64> = clip.frames.iter().map(tick).collect();
+/// A tick of its own for each pose of the left hand, and of the right one, or where they are in ticks. Poses of one instant have
+/// one tick, whichever hand they are of.
+fn own_ticks_of(clip: &PoseClip, rate: f64) -> [Result<Vec<Option<f64>>, Vec<f64>>; 2] {
+    let times: Vec<(f64, Side)> = clip.frames.iter().map(|f| (f.time, f.pose.side)).collect();
+    let start = times.iter().map(|(time, _)| *time).fold(f64::INFINITY, f64::min);
+    let tick = |time: f64| (time - start) * rate;
+    let mut all: Vec<f64> = times.iter().map(|(time, _)| tick(*time)).collect();
     all.sort_by(f64::total_cmp);
     all.dedup_by(|b, a| *b - *a < 1e-6 * rate);
-    let own: Vec<f64> = clip.of(side).map(tick).collect();
-    if let Some(ticks) = own_ticks(&all) {
-        // Those of a hand are among those of the clip.
-        let at = |t: &f64| ticks.get(all.partition_point(|a| *a < t - 1e-6 * rate)).copied().flatten();
-        return Ok(own.iter().map(at).collect());
-    }
-    // Hands that come at different times.
-    own_ticks(&own).ok_or(own)
+    let shared = own_ticks(&all);
+    [Side::Left, Side::Right].map(|side| {
+        let own = times.iter().filter(|(_, of)| *of == side).map(|(time, _)| tick(*time));
+        if let Some(ticks) = &shared {
+            // Those of a hand are among those of the clip: each at the one before, or the next, mostly.
+            let mut near = 0;
+            let at = |t: f64| {
+                let is_before = |a: &f64| *a < t - 1e-6 * rate;
+                let is_first = |&n: &usize| {
+                    all[..n].last().is_none_or(is_before) && !all[n..].first().is_some_and(is_before)
+                };
+                let next = (near..all.len().min(near + 2)).find(is_first);
+                near = next.unwrap_or_else(|| all.partition_point(is_before));
+                ticks.get(near).copied().flatten()
+            };
+            return Ok(own.map(at).collect());
+        }
+        // Hands that come at different times.
+        let own: Vec<f64> = own.collect();
+        own_ticks(&own).ok_or(own)
+    })
 }
 
-/// The poses of one hand on the ticks.
-fn track_on_ticks(clip: &PoseClip, side: Side, rate: f64) -> Box<dyn Iterator<Item = TimedPose> + Send + '_> {
-    let ticks = match own_ticks_of(clip, side, rate) {
-        Ok(own) => {
-            let placed = clip.of(side).zip(own);
-            let at = move |(f, tick): (&TimedPose, Option<f64>)| {
-                tick.map(|k| TimedPose { time: k / rate, ..f.clone() })
-            };
-            return Box::new(placed.filter_map(at));
+/// The poses of each hand on the ticks.
+fn tracks_on_ticks(clip: &PoseClip, rate: f64) -> [Box<dyn Iterator<Item = TimedPose> + Send + '_>; 2] {
+    let [left, right] = own_ticks_of(clip, rate);
+    [(Side::Left, left), (Side::Right, right)].map(|(side, ticks)| -> Box<dyn Iterator<Item = _> + Send> {
+        match ticks {
+            Ok(own) => {
+                let at = move |(f, tick): (&TimedPose, Option<f64>)| {
+                    tick.map(|k| TimedPose { time: k / rate, ..f.clone() })
+                };
+                Box::new(clip.of(side).zip(own).filter_map(at))
+            }
+            Err(ticks) => {
+                let delay = ticks.first().map_or(0.0, |tick| tick.round() / rate);
+                let resampled = clip.resampled(side, rate, f64::INFINITY);
+                Box::new(resampled.into_iter().map(move |f| TimedPose { time: f.time + delay, ..f }))
+            }
         }
-        Err(ticks) => ticks,
-    };
-    let delay = ticks.first().map_or(0.0, |tick| tick.round() / rate);
-    let resampled = clip.resampled(side, rate, f64::INFINITY);
-    Box::new(resampled.into_iter().map(move |f| TimedPose { time: f.time + delay, ..f }))
+    })
 }
 
 /// How far an interval may be from a multiple of a tick, and a pose from its own tick, in ticks.

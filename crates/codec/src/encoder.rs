@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 
 use handcast_fba::bap::{BapFrame, BapMask};
 
-use handcast_fba::plan::{ClipEncoder, PlanOptions, PlanReport, Target, TimedBapFrame, both};
+use handcast_fba::plan::{ClipEncoder, PlanOptions, PlanReport, Target, TimedBapFrame, relay};
 use handcast_fba::{EncodeError, FrameRate};
 use handcast_hand::{ClipHand, HandPose, PoseClip, Side, TimedPose};
 
@@ -243,29 +243,26 @@ impl PoseEncoder {
         poses: impl IntoIterator<Item = TimedPose, IntoIter: Send>,
     ) -> Result<Vec<u8>, PosesToStreamError> {
         let mut poses = poses.into_iter();
-        let (mut next, mut current, mut coded): (Vec<Frame>, Vec<Frame>, Vec<Frame>) = Default::default();
+        let Self { front, encoder, back, bytes, .. } = self;
         let mut more: Result<bool, PosesToStreamError> = Ok(true);
         let mut written = Ok(());
-        loop {
-            let Self { front, encoder, back, bytes, .. } = self;
-            // What has become frames is coded and measured whatever is refused.
-            let filling = written.is_ok() && matches!(more, Ok(true));
-            let (filled, done) = both(
-                || {
-                    coded.drain(..).for_each(|frame| back.note(&frame));
-                    if filling { front.fill(&mut poses, &mut next) } else { Ok(false) }
-                },
-                || code(encoder, &mut current, bytes),
-            );
-            written = written.and(done);
-            if filling {
-                more = filled;
-            } else if current.is_empty() {
-                break;
-            }
-            std::mem::swap(&mut coded, &mut current);
-            std::mem::swap(&mut current, &mut next);
-        }
+        relay(
+            |batch: &mut Batch| {
+                batch.frames.drain(..).for_each(|frame| back.note(&frame));
+                // What has become frames is coded and measured whatever is refused.
+                if matches!(more, Ok(true)) {
+                    more = if batch.failed { Ok(false) } else { front.fill(&mut poses, &mut batch.frames) };
+                }
+                !batch.frames.is_empty()
+            },
+            |batch| {
+                let done = code(encoder, &mut batch.frames, bytes);
+                batch.failed = done.is_err();
+                if written.is_ok() {
+                    written = done;
+                }
+            },
+        );
         written?;
         more?;
         Ok(std::mem::take(&mut self.bytes))
@@ -349,7 +346,9 @@ fn finished(encoder: ClipEncoder, back: Back) -> Result<Finished, EncodeError> {
     let (rest, report, compared) = encoder.finish_compared(|first, frames| {
         let mut meter = none.clone();
         let places = places.iter().skip(first);
-        frames.zip(places).for_each(|([given, coded], place)| meter.add(place, [&given, &coded]));
+        frames
+            .zip(places)
+            .for_each(|([given, coded], place)| meter.add(place, [&given, &coded], &BapMask::EMPTY));
         meter
     })?;
     compared.iter().for_each(|more| meter.merge(more));
@@ -401,14 +400,22 @@ impl Back {
     fn note(&mut self, frame: &Frame) {
         let Frame { given, held, place, coded } = frame;
         match coded {
-            Some(coded) => self.meter.add(place, [&given.baps.without(held), coded]),
+            Some(coded) => self.meter.add(place, [&given.baps, coded], held),
             None => self.places.push(*place),
         }
     }
 }
 
-/// Frames that are made at a time, while as many are coded.
-const BATCH: usize = 256;
+/// Frames that are made at a time, while others are coded.
+const BATCH: usize = 128;
+
+/// Frames on their way round.
+#[derive(Default)]
+struct Batch {
+    frames: Vec<Frame>,
+    /// Whether one of them could not be coded.
+    failed: bool,
+}
 
 /// Makes frames of poses.
 #[derive(Clone, Debug)]
@@ -520,17 +527,24 @@ impl Front {
 
 /// A frame that is known.
 pub(crate) struct Ready<'a> {
-    pub frame: TimedBapFrame,
+    time: f64,
     /// Values of hands that have no valid pose then.
     held: BapMask,
-    /// What the frame was made of.
+    /// What the frame is made of.
     poses: &'a [HandPose],
+    mapper: &'a mut PoseMapper,
 }
 
 impl Ready<'_> {
+    /// Its values.
+    pub fn frame(self) -> TimedBapFrame {
+        TimedBapFrame { time: self.time, baps: self.mapper.frame(self.poses) }
+    }
+
     fn into_frame(self, profile: Profile) -> Frame {
-        let Self { frame: given, held, poses } = self;
-        Frame { place: Places::new(poses, &given.baps, profile), given, held, coded: None }
+        let given = TimedBapFrame { time: self.time, baps: self.mapper.frame(self.poses) };
+        let place = Places::new(self.poses, &given.baps, profile);
+        Frame { given, held: self.held, place, coded: None }
     }
 }
 
@@ -629,8 +643,7 @@ impl Holder {
                 None => held = held.union(&hand_mask(slot.side, self.profile)),
             }
         }
-        let frame = TimedBapFrame { time: moment.time, baps: self.mapper.frame(&self.current) };
-        Ready { frame, held, poses: &self.current }
+        Ready { time: moment.time, held, poses: &self.current, mapper: &mut self.mapper }
     }
 }
 

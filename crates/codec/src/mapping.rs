@@ -234,12 +234,22 @@ fn within_reach(place: &Vector3<f64>) -> Vector3<f64> {
 /// The pose of one hand in a frame; BAPs that are not given count as 0. `None` when the frame gives
 /// nothing of that hand: see [`sides`].
 pub fn pose_from_frame(frame: &BapFrame, side: Side, profile: Profile) -> Option<HandPose> {
-    let new = is_new(&frame.mask, side);
-    if !new && !has_angles(&frame.mask, side) {
+    pose_of_given(frame, &frame.mask, side, profile)
+}
+
+/// The same where the frame gives those in `mask`.
+pub(crate) fn pose_of_given(
+    frame: &BapFrame,
+    mask: &BapMask,
+    side: Side,
+    profile: Profile,
+) -> Option<HandPose> {
+    let new = is_new(mask, side);
+    if !new && !has_angles(mask, side) {
         return None;
     }
     let mut pose = HandPose::neutral(side);
-    let get = |bap: Bap| f64::from(frame.get(bap).unwrap_or(0));
+    let get = |bap: Bap| if mask.contains(bap) { f64::from(frame.value(bap)) } else { 0.0 };
     for angle in JointAngle::ALL {
         pose.set(angle, angle_sign(side, angle) * get(angle_bap(side, angle)) / PER_RADIAN);
     }

@@ -1,11 +1,11 @@
 //! How far fingertips are off.
 
 use handcast_fba::Record;
-use handcast_fba::bap::BapFrame;
+use handcast_fba::bap::{BapFrame, BapMask};
 use handcast_hand::{ClipHand, HandPose, Side, Skeleton};
 use nalgebra::{UnitQuaternion, Vector3};
 
-use crate::mapping::{Profile, pose_from_frame};
+use crate::mapping::{Profile, pose_from_frame, pose_of_given};
 use crate::person::hands_of_record;
 
 /// How far the fingertips of decoded hands are from those of the poses that were encoded, over all fingers and all
@@ -171,12 +171,15 @@ impl TipMeter {
         Self { profile, skeletons, decoded, off: Tally::new(), sizes: 0.0 }
     }
 
-    /// Takes in what was encoded, what rounding took from it, and what a decoder has of it.
-    pub fn add(&mut self, places: &Places, [given, coded]: [&BapFrame; 2]) {
+    /// Takes in what was encoded, but for values that were only `held`, what rounding took from it, and what a decoder has of
+    /// it.
+    pub fn add(&mut self, places: &Places, [given, coded]: [&BapFrame; 2], held: &BapMask) {
+        let known = given.mask.difference(held);
         // What is not sent yet is 0.
-        let coded = BapFrame::with_values(given.mask.union(&coded.mask), *coded.values());
+        let masks = [known, known.union(&coded.mask)];
         for side in [Side::Left, Side::Right] {
-            let poses = [given, &coded].map(|frame| pose_from_frame(frame, side, self.profile));
+            let of = |n: usize| pose_of_given([given, coded][n], &masks[n], side, self.profile);
+            let poses = [of(0), of(1)];
             let [Some(mut given), Some(coded)] = poses else { continue };
             places.restore(&mut given);
             let own = &self.skeletons[side as usize];
@@ -253,8 +256,8 @@ mod tests {
         for (given, shown) in given.iter().zip(&shown) {
             let mut mapper = PoseMapper::new(Profile::Hand);
             let frames = [given, &shown.pose].map(|pose| mapper.frame(std::slice::from_ref(pose)));
-            meter
-                .add(&Places::new(std::slice::from_ref(given), &frames[0], Profile::Hand), frames.each_ref());
+            let place = Places::new(std::slice::from_ref(given), &frames[0], Profile::Hand);
+            meter.add(&place, frames.each_ref(), &BapMask::EMPTY);
         }
         [end.tips.unwrap(), meter.error().unwrap()]
     }

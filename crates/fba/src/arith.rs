@@ -89,6 +89,38 @@ impl<'a> Adaptive<'a> {
         let (sums, counts) = rest.split_at(blocks(table.len()));
         Self { total: *total, sums, counts }
     }
+
+    /// The count of `symbol`.
+    pub fn count(&self, symbol: usize) -> u16 {
+        self.counts.get(symbol).copied().unwrap_or(0)
+    }
+}
+
+/// Ones in the first so many places of a block.
+static FIRST: [[u16; BLOCK]; BLOCK] = {
+    let mut first = [[0; BLOCK]; BLOCK];
+    let mut many = 0;
+    while many < BLOCK {
+        let mut place = 0;
+        while place < many {
+            first[many][place] = u16::MAX;
+            place += 1;
+        }
+        many += 1;
+    }
+    first
+};
+
+/// Sum of the first `many` counts of a block, which are not all.
+#[inline]
+fn sum_of_first(counts: &[u16], many: usize) -> u32 {
+    match (counts.first_chunk::<BLOCK>(), FIRST.get(many)) {
+        // All of them at once: quicker than a loop that ends here or there.
+        (Some(block), Some(first)) => {
+            block.iter().zip(first).map(|(count, first)| count & first).sum::<u16>().into()
+        }
+        _ => counts.iter().take(many).map(|&count| u32::from(count)).sum(),
+    }
 }
 
 impl Model for Adaptive<'_> {
@@ -96,17 +128,16 @@ impl Model for Adaptive<'_> {
         self.total.into()
     }
 
+    #[inline]
     fn bounds(&self, symbol: usize) -> (u32, u32) {
         let block = symbol / BLOCK;
         let mut above = self.total();
         for &sum in self.sums.get(..block).unwrap_or_default() {
             above = above.wrapping_sub(sum.into());
         }
-        for &count in self.counts.get(block * BLOCK..symbol).unwrap_or_default() {
-            above = above.wrapping_sub(count.into());
-        }
-        let own = self.counts.get(symbol).copied().unwrap_or(0);
-        (above.wrapping_sub(own.into()), above)
+        above = above
+            .wrapping_sub(sum_of_first(self.counts.get(block * BLOCK..).unwrap_or_default(), symbol % BLOCK));
+        (above.wrapping_sub(self.count(symbol).into()), above)
     }
 
     fn find(&self, cumulative: u32) -> Found {
@@ -206,6 +237,18 @@ impl<'a, S: BitSink> Encoder<'a, S> {
         Self { sink, low: 0, high: TOP, pending: 0, zeros: 0 }
     }
 
+    /// Writes the low `width` bits of `bits` (`width` ≤ 16), highest first.
+    #[inline]
+    fn data_bits(&mut self, width: u32, bits: u32) {
+        if self.zeros + width <= ZERO_RUN {
+            self.sink.bits(width, bits);
+            self.zeros = if bits == 0 { self.zeros + width } else { bits.trailing_zeros() };
+        } else {
+            (0..width).rev().for_each(|place| self.data_bit(bits >> place & 1 == 1));
+        }
+    }
+
+    #[cold]
     fn data_bit(&mut self, bit: bool) {
         if self.zeros == ZERO_RUN {
             self.sink.bit(true);
@@ -215,11 +258,18 @@ impl<'a, S: BitSink> Encoder<'a, S> {
         self.zeros = if bit { 0 } else { self.zeros + 1 };
     }
 
-    fn bit_and_pending(&mut self, bit: bool) {
-        self.data_bit(bit);
-        for _ in 0..std::mem::take(&mut self.pending) {
-            self.data_bit(!bit);
+    /// Writes bits behind the first of which those that were pending come.
+    #[inline]
+    fn bits_and_pending(&mut self, width: u32, bits: u32) {
+        if self.pending == 0 {
+            return self.data_bits(width, bits);
         }
+        let first = bits >> (width - 1);
+        self.data_bits(1, first);
+        for _ in 0..std::mem::take(&mut self.pending) {
+            self.data_bits(1, first ^ 1);
+        }
+        self.data_bits(width - 1, bits & ((1 << (width - 1)) - 1));
     }
 }
 
@@ -230,28 +280,25 @@ impl<S: BitSink> SymbolCoder for Encoder<'_, S> {
         let length = self.high - self.low + 1;
         self.high = self.low + length * above / total - 1;
         self.low += length * below / total;
-        loop {
-            if self.high < HALF {
-                self.bit_and_pending(false);
-            } else if self.low >= HALF {
-                self.bit_and_pending(true);
-                self.low -= HALF;
-                self.high -= HALF;
-            } else if self.low >= QUARTER && self.high < THREE_QUARTERS {
-                self.pending += 1;
-                self.low -= QUARTER;
-                self.high -= QUARTER;
-            } else {
-                return Ok(symbol);
-            }
-            self.low *= 2;
-            self.high = self.high * 2 + 1;
+        // The leading bits in which both ends agree are known: doubling shifts them out.
+        let known = ((self.low ^ self.high) << 16).leading_zeros().min(16);
+        if known > 0 {
+            self.bits_and_pending(known, self.low >> (16 - known));
+            self.low = self.low << known & TOP;
+            self.high = (self.high << known | ((1 << known) - 1)) & TOP;
         }
+        // Behind the first bit, those in which the lower end has a 1 and the upper end a 0 are pending: they bring both
+        // into the middle half, and doubling about its middle shifts them out.
+        let middle = ((self.low & !self.high) << 17).leading_ones();
+        self.pending += middle;
+        self.low = self.low << middle & (HALF - 1);
+        self.high = (self.high << middle | ((1 << middle) - 1)) & (HALF - 1) | HALF;
+        Ok(symbol)
     }
 
     fn finish(mut self) -> Result<(), SyntaxError> {
         self.pending += 1;
-        self.bit_and_pending(self.low >= QUARTER);
+        self.bits_and_pending(1, u32::from(self.low >= QUARTER));
         Ok(())
     }
 }
@@ -397,6 +444,54 @@ mod tests {
         }
     }
 
+    /// The same coder with a bit at a time.
+    struct Plain<'a> {
+        sink: &'a mut BitWriter,
+        low: u32,
+        high: u32,
+        pending: u32,
+        zeros: u32,
+    }
+
+    impl Plain<'_> {
+        fn data_bit(&mut self, bit: bool) {
+            if self.zeros == ZERO_RUN {
+                self.sink.bit(true);
+                self.zeros = 0;
+            }
+            self.sink.bit(bit);
+            self.zeros = if bit { 0 } else { self.zeros + 1 };
+        }
+
+        fn bit_and_pending(&mut self, bit: bool) {
+            self.data_bit(bit);
+            (0..std::mem::take(&mut self.pending)).for_each(|_| self.data_bit(!bit));
+        }
+
+        fn symbol(&mut self, model: &impl Model, symbol: usize) {
+            let (below, above) = model.bounds(symbol);
+            let length = self.high - self.low + 1;
+            self.high = self.low + length * above / model.total() - 1;
+            self.low += length * below / model.total();
+            loop {
+                let base = if self.high < HALF {
+                    self.bit_and_pending(false);
+                    0
+                } else if self.low >= HALF {
+                    self.bit_and_pending(true);
+                    HALF
+                } else if self.low >= QUARTER && self.high < THREE_QUARTERS {
+                    self.pending += 1;
+                    QUARTER
+                } else {
+                    return;
+                };
+                self.low = (self.low - base) * 2;
+                self.high = (self.high - base) * 2 + 1;
+            }
+        }
+    }
+
     fn fresh(symbols: usize) -> Vec<u16> {
         let mut table = vec![0; table_length(symbols)];
         reset(&mut table);
@@ -451,6 +546,29 @@ mod tests {
     }
 
     proptest! {
+        #[test]
+        fn bits_are_those_that_come_one_by_one(
+            symbols in prop::collection::vec((1usize..9000, any::<prop::sample::Index>(), 0u8..3), 0..300),
+        ) {
+            let mut sinks = [BitWriter::new(), BitWriter::new()];
+            let [quick, plain] = &mut sinks;
+            let mut quick = Encoder::new(quick);
+            let mut plain = Plain { sink: plain, low: 0, high: TOP, pending: 0, zeros: 0 };
+            for (size, index, place) in symbols {
+                // Those in the middle make bits that are pending, the last ones zeros.
+                let symbol = [index.index(size), size / 2, size - 1][usize::from(place)];
+                quick.symbol(&Flat(size as u32), symbol).unwrap();
+                plain.symbol(&Flat(size as u32), symbol);
+                prop_assert_eq!(
+                    (quick.low, quick.high, quick.pending, quick.zeros),
+                    (plain.low, plain.high, plain.pending, plain.zeros)
+                );
+            }
+            let [quick, plain] = sinks;
+            prop_assert_eq!(quick.position(), plain.position());
+            prop_assert_eq!(quick.into_bytes(), plain.into_bytes());
+        }
+
         /// Several parts one behind the other, each followed by a few raw bits, come back exactly,
         /// also with the long runs of zeros that the last symbol of a large model makes.
         #[test]

@@ -248,13 +248,17 @@ impl BapMask {
     /// The members in ascending order of number.
     pub fn iter(&self) -> impl Iterator<Item = Bap> + '_ {
         // Word by word: sets are gone through for every frame.
-        self.0.as_raw_slice().iter().enumerate().flat_map(|(number, &word)| {
-            let mut left = word;
-            std::iter::from_fn(move || {
-                let bit = (left != 0).then(|| left.trailing_zeros() as usize)?;
-                left &= left - 1;
-                Bap::from_index(number * 32 + bit)
-            })
+        let mut words = self.0.as_raw_slice();
+        let (mut first, mut left) = (0, 0);
+        std::iter::from_fn(move || {
+            while left == 0 {
+                let (word, behind) = words.split_first()?;
+                (words, left) = (behind, *word);
+                first += 32;
+            }
+            let bit = left.trailing_zeros() as usize;
+            left &= left - 1;
+            Bap::from_index(first - 32 + bit)
         })
     }
 

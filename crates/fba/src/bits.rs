@@ -2,10 +2,15 @@
 
 use super::error::SyntaxError;
 
-/// Receives bits one by one: a [`BitWriter`] keeps them, a [`BitCounter`] only counts them.
+/// Receives bits: a [`BitWriter`] keeps them, a [`BitCounter`] only counts them.
 pub trait BitSink {
+    /// Takes the low `width` bits of `bits` (`width` ≤ 32, higher ones are 0), highest first.
+    fn bits(&mut self, width: u32, bits: u32);
+
     /// Takes one bit.
-    fn bit(&mut self, bit: bool);
+    fn bit(&mut self, bit: bool) {
+        self.bits(1, bit.into());
+    }
 }
 
 /// Counts bits without storing them.
@@ -16,8 +21,8 @@ pub struct BitCounter {
 }
 
 impl BitSink for BitCounter {
-    fn bit(&mut self, _bit: bool) {
-        self.bits += 1;
+    fn bits(&mut self, width: u32, _bits: u32) {
+        self.bits += u64::from(width);
     }
 }
 
@@ -56,9 +61,8 @@ impl BitWriter {
 
     /// Appends the low `width` bits of `value` (`width` ≤ 32), highest first.
     pub fn put(&mut self, width: u32, value: u32) {
-        for shift in (0..width.min(32)).rev() {
-            self.bit(value >> shift & 1 == 1);
-        }
+        let width = width.min(32);
+        self.bits(width, (u64::from(value) & ((1 << width) - 1)) as u32);
     }
 
     /// Writes stuffing and a start code. Those the syntax knows count as imitated when they come about in
@@ -126,16 +130,18 @@ impl BitWriter {
 }
 
 impl BitSink for BitWriter {
-    fn bit(&mut self, bit: bool) {
-        self.partial = self.partial << 1 | u8::from(bit);
-        self.pending += 1;
-        if self.pending == 8 {
-            self.bytes.push(self.partial);
-            self.last = self.last << 8 | u32::from(self.partial);
+    #[inline]
+    fn bits(&mut self, width: u32, bits: u32) {
+        let all = u64::from(self.partial) << width | u64::from(bits);
+        self.pending += width;
+        while self.pending >= 8 {
+            self.pending -= 8;
+            let byte = (all >> self.pending) as u8;
+            self.bytes.push(byte);
+            self.last = self.last << 8 | u32::from(byte);
             self.imitates |= START_CODES.contains(&self.last);
-            self.partial = 0;
-            self.pending = 0;
         }
+        self.partial = (all & ((1 << self.pending) - 1)) as u8;
     }
 }
 

@@ -20,6 +20,15 @@ const P_HEADER: PlaneHeader = PlaneHeader {
 /// Frames that a plane may skip for decoders to take it, by [`Limits`](super::Limits).
 const MOST_SKIPPED: u32 = 65_535;
 
+/// Bits of a header that says that no frame is skipped, over those of one that says nothing of it.
+const EXPLICIT_SKIP: u64 = 4;
+
+/// Bits of the planes that say nothing, three each, from this place to the end of a byte.
+fn filled(place: u64) -> u64 {
+    // Eight of them end where they began.
+    3 * (3 * ((8 - place % 8) % 8) % 8)
+}
+
 /// A plane that stands for frames left out.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Still {
@@ -100,9 +109,26 @@ impl FrameWriter {
         start_code: bool,
         params: Option<&IntraParams>,
     ) -> Result<PlaneBits, EncodeError> {
+        let mut bits = self.write_skipped()?;
+        bits += self.write_plane(header, start_code, params)?;
+        Ok(bits)
+    }
+
+    /// Writes the plane that stands for frames left out, if there are any, before another.
+    fn write_skipped(&mut self) -> Result<PlaneBits, EncodeError> {
         let frames = self.skipped;
-        let mut bits = self.write_still()?;
+        let bits = self.write_still()?;
         self.last_still = (frames > 0).then(|| Still { frames, bits: bits.total() });
+        Ok(bits)
+    }
+
+    /// Writes `levels`, behind what stands for frames left out.
+    fn write_plane(
+        &mut self,
+        header: &PlaneHeader,
+        start_code: bool,
+        params: Option<&IntraParams>,
+    ) -> Result<PlaneBits, EncodeError> {
         if params.is_none() {
             // Where the still plane had to change a value, this one takes it back.
             for (level, still) in self.levels.iter_mut().zip(&self.still) {
@@ -113,8 +139,7 @@ impl FrameWriter {
         self.frames += 1;
         self.planes += 1;
         self.bits += plane;
-        bits += plane;
-        Ok(bits)
+        Ok(plane)
     }
 
     /// Writes a plane without change for the frames left out, if there are any.
@@ -195,6 +220,16 @@ impl FrameWriter {
         Ok(bits)
     }
 
+    /// Writes `levels` as a P plane, behind which [`Self::align`] has little to do: where fewer bits are left to a byte's end
+    /// then, its header says that no frame is skipped, which takes four bits more.
+    pub(super) fn write_aligned(&mut self) -> Result<PlaneBits, EncodeError> {
+        let mut bits = self.write_skipped()?;
+        let end = self.writer.position() + self.price_still()? as u64;
+        let explicit_skip = EXPLICIT_SKIP + filled(end + EXPLICIT_SKIP) < filled(end);
+        bits += self.write_plane(&PlaneHeader { explicit_skip, ..P_HEADER }, false, None)?;
+        Ok(bits)
+    }
+
     /// Writes `levels` as a P plane.
     pub(super) fn write_predicted(&mut self) -> Result<PlaneBits, EncodeError> {
         self.write(&P_HEADER, false, None)
@@ -206,5 +241,41 @@ impl FrameWriter {
         // No change is always in range, so this cannot fail.
         let _ = self.write_still();
         self.writer.finish()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::bap::Bap;
+    use crate::plan::{LiveEncoder, PlanOptions, Target};
+
+    /// Bits that planes of all lengths take more where each ends with a byte: 6.5 in the middle, 10.5 with planes that say nothing
+    /// alone.
+    #[test]
+    fn bytes_are_filled_with_little() {
+        let baps: Vec<Bap> = (1..=3).filter_map(|k| Bap::from_name(&format!("r_index{k}_flexion"))).collect();
+        let frame = |n: i32| -> BapFrame {
+            let bend = |k: usize| -20_000 - ((n * (k as i32 + 3)) % 41 - 20).abs() * 300;
+            baps.iter().enumerate().map(|(k, &bap)| (bap, bend(k))).collect()
+        };
+        let bits = [true, false].map(|aligned| {
+            let options = PlanOptions { mode: Target::Quant(4), aligned, ..PlanOptions::default() };
+            let mut encoder = LiveEncoder::new(&options).unwrap();
+            (0..1000).map(|n| encoder.write_frame(&frame(n)).unwrap().total()).sum::<u64>()
+        });
+        let filled = (bits[0] - bits[1]) as f64 / 1000.0;
+        assert!((5.5..7.5).contains(&filled), "{filled}");
+    }
+
+    #[test]
+    fn planes_that_say_nothing_fill_bytes() {
+        for place in 0..16 {
+            let bits = filled(place);
+            assert!(
+                bits.is_multiple_of(3) && (place + bits).is_multiple_of(8) && bits < 24,
+                "{place}: {bits}"
+            );
+        }
     }
 }

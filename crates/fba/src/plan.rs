@@ -28,7 +28,7 @@ pub use live::LiveEncoder;
 pub use options::{Choices, Levels, PlanOptions, Target};
 pub use report::PlanReport;
 #[doc(hidden)]
-pub use share::both;
+pub use share::relay;
 
 pub use crate::bap::TimedBapFrame;
 

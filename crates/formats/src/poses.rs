@@ -25,7 +25,7 @@ use thiserror::Error;
 use super::atomic::AtomicFile;
 use super::batches::write_each;
 use super::decimal::push_number;
-use super::lines::LineReader;
+use super::lines::{BlockReader, LineReader, line_text, pieces};
 use super::motion::{Format, Keeps, Lost, Motion, WriteOptions, Writer};
 use handcast_hand::clip::MAX_HANDS;
 use handcast_hand::{
@@ -264,50 +264,40 @@ impl<R: BufRead> PoseReader<R> {
     ///
     /// # Errors
     /// See [`PosesError`].
-    pub fn into_clip_within(mut self, limits: &Limits) -> Result<PoseClip, PosesError> {
-        let mut frames = Vec::new();
-        let (mut batch, mut next) = (Batch::default(), Batch::default());
-        let mut read = self.fill(&mut batch);
+    pub fn into_clip_within(self, limits: &Limits) -> Result<PoseClip, PosesError> {
+        let Self { lines, header, check, .. } = self;
+        let mut clip = ClipReader { header, check, number: lines.number(), frames: Vec::new(), limits };
+        let mut blocks = BlockReader::behind(lines);
+        let (mut block, mut next, mut parsed) = (Vec::new(), Vec::new(), Vec::new());
+        let mut read = blocks.fill(&mut block, BLOCK_BYTES);
         loop {
-            // The next lines are read while these are looked at; behind one that cannot be read no more are.
-            let (mut parsed, mut behind) = (Vec::new(), Ok(false));
-            rayon::in_place_scope(|scope| {
-                scope.spawn(|_| parsed = batch.parsed());
-                if read == Ok(true) {
-                    behind = self.fill(&mut next);
-                }
-            });
-            for (number, line) in parsed {
-                let failed = |what| PosesError::Line { line: number, what };
-                let Some(frame) = self.accept(line.map_err(failed)?).map_err(failed)? else { continue };
-                let instants = (frames.len() + 1) / self.header.hands.len().max(1);
-                limits.check_count(Limit::Instants, instants)?;
-                frames.push(frame);
+            // The next lines are read, and poses taken in, while these are looked at; behind lines that cannot be read no more are.
+            let mut taken = Ok(());
+            let mut behind = Ok(false);
+            let before = std::mem::take(&mut parsed);
+            beside(
+                block.len() > PIECE_BYTES,
+                || {
+                    taken = clip.take(before);
+                    if matches!(read, Ok(true)) {
+                        behind = blocks.fill(&mut next, BLOCK_BYTES);
+                    }
+                },
+                || parsed = parse_block(&block),
+            );
+            taken?;
+            if let Ok(true) = read {
+                read = behind;
+                std::mem::swap(&mut block, &mut next);
+                continue;
             }
-            match read {
-                Ok(true) => {}
-                Ok(false) => return Ok(PoseClip { header: self.header, frames }),
-                Err(what) => return Err(PosesError::Line { line: self.lines.number(), what }),
-            }
-            read = behind;
-            std::mem::swap(&mut batch, &mut next);
+            clip.take(parsed)?;
+            read.map_err(|error| PosesError::Line {
+                line: clip.number + 1,
+                what: error.describe(MAX_LINE_BYTES),
+            })?;
+            return Ok(PoseClip { header: clip.header, frames: clip.frames });
         }
-    }
-
-    /// Reads lines into an emptied batch until it is full; false at the end.
-    fn fill(&mut self, batch: &mut Batch) -> Result<bool, String> {
-        let max = self.lines.max_bytes();
-        batch.text.clear();
-        batch.lines.clear();
-        while batch.text.len() < BATCH_BYTES && batch.lines.len() < BATCH_LINES {
-            let Some(text) = self.lines.next_line().map_err(|e| e.describe(max))? else {
-                return Ok(false);
-            };
-            batch.text.push_str(text);
-            let end = batch.text.len();
-            batch.lines.push((self.lines.number(), end));
-        }
-        Ok(true)
     }
 
     fn next_frame(&mut self) -> Result<Option<TimedPose>, String> {
@@ -325,45 +315,108 @@ impl<R: BufRead> PoseReader<R> {
 
     /// Takes in a line: a pose that may follow, or nothing for a further header.
     fn accept(&mut self, line: Line) -> Result<Option<TimedPose>, String> {
-        match line {
-            Line::Frame(frame) => {
-                self.check.check(&self.header, &frame).map_err(|e| e.to_string())?;
-                Ok(Some(frame))
+        accept(&mut self.header, &mut self.check, line)
+    }
+}
+
+/// Takes in a line behind those that were `check`ed: a pose that may follow, or nothing for a further header, which is in force
+/// from there on.
+fn accept(header: &mut PoseHeader, check: &mut FrameCheck, line: Line) -> Result<Option<TimedPose>, String> {
+    match line {
+        Line::Frame(frame) => {
+            check.check(header, &frame).map_err(|e| e.to_string())?;
+            Ok(Some(frame))
+        }
+        // A hand that was found later.
+        Line::Header(further) => {
+            if let Some(lost) = header.hands.iter().find(|hand| further.hand(hand.side).is_none()) {
+                return Err(format!("a further header leaves out the {} hand", lost.side.name()));
             }
-            // A hand that was found later.
-            Line::Header(header) => {
-                if let Some(lost) = self.header.hands.iter().find(|hand| header.hand(hand.side).is_none()) {
-                    return Err(format!("a further header leaves out the {} hand", lost.side.name()));
-                }
-                self.header = header;
-                Ok(None)
-            }
+            *header = further;
+            Ok(None)
         }
     }
 }
 
-/// Bytes of lines that are read at a time, on several cores.
-const BATCH_BYTES: usize = 4 << 20;
+/// Bytes of lines that are read at a time, and of pieces of them that a core looks at.
+const BLOCK_BYTES: usize = 1 << 20;
+const PIECE_BYTES: usize = 1 << 17;
 
-/// Most lines among them, of which each becomes a pose.
-const BATCH_LINES: usize = 1 << 14;
-
-/// Lines to be read, one behind the other.
-#[derive(Default)]
-struct Batch {
-    text: String,
-    /// Number of each line, and where it ends.
-    lines: Vec<(usize, usize)>,
+/// Does both, side by side where it `pays`, `here` on this thread.
+fn beside(pays: bool, here: impl FnOnce(), there: impl FnOnce() + Send) {
+    if pays {
+        rayon::in_place_scope(|scope| {
+            scope.spawn(|_| there());
+            here();
+        });
+    } else {
+        here();
+        there();
+    }
 }
 
-impl Batch {
-    /// What the lines say, in order, by their numbers.
-    fn parsed(&self) -> Vec<(usize, Result<Line, String>)> {
-        let text = |n: usize| {
-            let start = n.checked_sub(1).map_or(0, |before| self.lines[before].1);
-            &self.text[start..self.lines[n].1]
-        };
-        (0..self.lines.len()).into_par_iter().map(|n| (self.lines[n].0, parse_line(text(n)))).collect()
+/// What is in the lines of a piece.
+struct Piece {
+    /// How many lines it has, and what those say that are not blank, by their number in it, up to the first that is wrong.
+    count: usize,
+    lines: Vec<(usize, Line)>,
+    /// That one.
+    wrong: Option<(usize, String)>,
+}
+
+impl Piece {
+    fn parsed(text: &[u8]) -> Self {
+        let mut piece = Self { count: 0, lines: Vec::new(), wrong: None };
+        for line in pieces(text, 0) {
+            piece.count += 1;
+            let text = line_text(line, MAX_LINE_BYTES).map_err(|e| e.describe(MAX_LINE_BYTES));
+            match text.and_then(|text| text.map(parse_line).transpose()) {
+                Ok(Some(line)) => piece.lines.push((piece.count, line)),
+                Ok(None) => {}
+                Err(what) => {
+                    piece.wrong = Some((piece.count, what));
+                    break;
+                }
+            }
+        }
+        piece
+    }
+}
+
+/// What is in the pieces of a block, looked at on several cores.
+fn parse_block(block: &[u8]) -> Vec<Piece> {
+    let pieces: Vec<&[u8]> = pieces(block, PIECE_BYTES).collect();
+    pieces.into_par_iter().map(Piece::parsed).collect()
+}
+
+/// The poses of a whole file on their way into a clip.
+struct ClipReader<'a> {
+    header: PoseHeader,
+    check: FrameCheck,
+    /// Number of the line before those that are to come.
+    number: usize,
+    frames: Vec<TimedPose>,
+    limits: &'a Limits,
+}
+
+impl ClipReader<'_> {
+    /// Takes in the pieces that come next.
+    fn take(&mut self, pieces: Vec<Piece>) -> Result<(), PosesError> {
+        for Piece { count, lines, wrong } in pieces {
+            for (number, line) in lines {
+                let failed = |what| PosesError::Line { line: self.number + number, what };
+                let accepted = accept(&mut self.header, &mut self.check, line);
+                let Some(frame) = accepted.map_err(failed)? else { continue };
+                let instants = (self.frames.len() + 1) / self.header.hands.len().max(1);
+                self.limits.check_count(Limit::Instants, instants)?;
+                self.frames.push(frame);
+            }
+            if let Some((number, what)) = wrong {
+                return Err(PosesError::Line { line: self.number + number, what });
+            }
+            self.number += count;
+        }
+        Ok(())
     }
 }
 
@@ -800,6 +853,57 @@ mod tests {
         assert!(text.starts_with("poses: line 4: t is 1 s, not after 1 s"), "{text}");
         let long = format!("{{\"t\":0,\"hand\":\"right\",\"x\":\"{}\"}}", "y".repeat(MAX_LINE_BYTES));
         assert!(frame(&long).contains("longer than the 65536 bytes allowed"));
+    }
+
+    /// Whole files are read in pieces: the same poses and errors as line by line, whichever piece they are in.
+    #[test]
+    fn whole_files_are_read_as_line_by_line() {
+        let count = 5 * BLOCK_BYTES / 4 / 60;
+        let line = |n: usize| {
+            let bend = n % 90;
+            let line = format!("{{\"t\":{n},\"hand\":\"right\",\"angles\":{{\"index1_flexion\":{bend}}}}}");
+            line + &"\n".repeat(if n.is_multiple_of(1000) { 8 } else { 1 })
+        };
+        let lines: Vec<String> = (0..count).map(line).collect();
+        let both = |lines: &[String], header: &str| {
+            let text = format!("{header}\n{}", lines.concat());
+            let one_by_one: Result<Vec<TimedPose>, _> = PoseReader::new(text.as_bytes()).unwrap().collect();
+            let whole = read(&text).map(|clip| clip.frames);
+            assert_eq!(
+                whole.as_ref().map_err(PosesError::to_string),
+                one_by_one.as_ref().map_err(PosesError::to_string)
+            );
+            whole.map(|frames| frames.len()).map_err(|error| error.to_string())
+        };
+        assert_eq!(both(&lines, HEADER), Ok(count));
+        let windows: Vec<String> = lines.iter().map(|line| line.replace('\n', "\r\n")).collect();
+        assert_eq!(both(&windows, HEADER), Ok(count));
+        for at in [0, 1, count / 9, count / 2, count - 2, count - 1] {
+            for wrong in [
+                "{\n",
+                "\u{0}\n",
+                "{\"t\":-1,\"hand\":\"right\"}\n{\"t\":-1,\"hand\":\"right\"}",
+                &"y".repeat(70_000),
+                &"y".repeat(3 << 20),
+            ] {
+                let mut lines = lines.clone();
+                lines[at] = wrong.into();
+                let number = 2 + lines[..at].concat().matches('\n').count();
+                let told = both(&lines, HEADER).unwrap_err();
+                let second = usize::from(wrong.contains("-1") && at == 0);
+                assert!(told.starts_with(&format!("poses: line {}: ", number + second)), "{at}: {told}");
+            }
+            let mut lines = lines.clone();
+            lines[at] = lines[at].trim_end().to_owned();
+            lines.truncate(at + 1);
+            assert_eq!(both(&lines, HEADER), Ok(at + 1));
+            lines.insert(at, HEADER.replace("right", "left") + "\n");
+            assert!(both(&lines, HEADER).unwrap_err().contains("a further header leaves out the right hand"));
+        }
+        let limits = Limits::default().with_instants(count as u64 - 1);
+        let text = format!("{HEADER}\n{}", lines.concat());
+        let whole = PoseReader::new(text.as_bytes()).unwrap().into_clip_within(&limits);
+        assert!(matches!(whole, Err(PosesError::Excess(_))));
     }
 
     #[test]

@@ -14,6 +14,8 @@ const MOST_KEPT: usize = 1200;
 const MOST_BYTES: usize = 256 << 10;
 /// I planes are asked of a sender no more often than this.
 const BETWEEN_REQUESTS: Duration = Duration::from_secs(1);
+/// And for readers that were slow no more often than this: one that always is would have everybody pay for it.
+const BETWEEN_MENDINGS: Duration = Duration::from_secs(5);
 
 /// How much of a sender's stream a reader has.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -75,6 +77,7 @@ struct Sender {
     /// Period and index of the last plane.
     last: Option<(u16, u16)>,
     asked: Option<Instant>,
+    mended: Option<Instant>,
 }
 
 /// The senders of a room.
@@ -89,8 +92,15 @@ impl Room {
     pub fn enter(&mut self) -> Result<u8, RoomError> {
         let free = self.senders.iter().position(Option::is_none).ok_or(RoomError::Full)?;
         let hello = Hello::default();
-        self.senders[free] =
-            Some(Sender { hello, planes: Vec::new(), bytes: 0, begun: false, last: None, asked: None });
+        self.senders[free] = Some(Sender {
+            hello,
+            planes: Vec::new(),
+            bytes: 0,
+            begun: false,
+            last: None,
+            asked: None,
+            mended: None,
+        });
         Ok(free as u8)
     }
 
@@ -164,6 +174,16 @@ impl Room {
             sender.asked = Some(now);
         }
         may
+    }
+
+    /// Whether an I plane may be asked of a sender now for readers that have room again and wait for its next period.
+    pub fn may_mend(&mut self, number: u8, now: Instant) -> bool {
+        let Some(sender) = self.sender(number) else { return false };
+        let may = sender.mended.is_none_or(|mended| now.duration_since(mended) >= BETWEEN_MENDINGS);
+        if may {
+            sender.mended = Some(now);
+        }
+        may && self.may_ask(number, now)
     }
 
     /// Senders whose current period cannot be joined.
@@ -340,7 +360,10 @@ mod tests {
         assert_eq!(room.unjoinable().collect::<Vec<_>>(), [number]);
         let now = Instant::now();
         assert!(room.may_ask(number, now) && !room.may_ask(number, now + BETWEEN_REQUESTS / 2));
-        assert!(room.may_ask(number, now + BETWEEN_REQUESTS));
+        let later = now + BETWEEN_REQUESTS;
+        assert!(room.may_ask(number, later));
+        assert!(!room.may_mend(number, later) && room.may_mend(number, later + BETWEEN_MENDINGS));
+        assert!(!room.may_mend(number, later + BETWEEN_MENDINGS + BETWEEN_REQUESTS));
         let wrong = Plane { payload: vec![1], ..plane(2, 0) };
         assert_eq!(room.publish(number, vec![wrong]).unwrap_err(), RoomError::NoStartCode);
     }

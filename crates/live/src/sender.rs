@@ -151,7 +151,7 @@ mod tests {
         let mut sender = PoseSender::new(LivePoseEncoderOptions::default());
         let mut decoder = PoseDecoder::new(PoseDecoderOptions::default());
         let mut planes = Vec::new();
-        for frame in 0..320 {
+        for frame in 0..400 {
             let truth = pose(Side::Right, frame, true);
             if frame == 70 {
                 sender.request_intra();

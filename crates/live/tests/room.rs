@@ -254,6 +254,32 @@ fn a_slow_reader_goes_on_with_an_i_plane_and_keeps_nobody_waiting() {
     assert!(server.counted().skipped > 0);
 }
 
+/// It hears nothing of what it misses, and so the room asks for it.
+#[test]
+fn an_i_plane_is_asked_for_when_a_slow_reader_has_room_again() {
+    let server = server();
+    let mut sender = server.publisher().unwrap();
+    let mut slow = join(&server);
+    slow.next(SECOND / 10).unwrap();
+    let mut index = 0;
+    while server.counted().skipped == 0 {
+        assert!(index < 1000, "everything goes somewhere");
+        sender.planes(&[plane(0, index, 8000)]).unwrap();
+        index += 1;
+        std::thread::sleep(SECOND / 1000);
+    }
+    assert!(!sender.wants_intra(), "a reader that has no room is no reason");
+    let end = Instant::now() + 10 * SECOND;
+    while !sender.wants_intra() {
+        assert!(Instant::now() < end, "nobody asks");
+        while slow.next(SECOND / 50).unwrap().is_some() {}
+        sender.planes(&[plane(0, index, 20)]).unwrap();
+        index += 1;
+    }
+    sender.planes(&[plane(1, 0, 20)]).unwrap();
+    assert_eq!(next_plane(&mut slow).period, 1);
+}
+
 /// What a server answers to a request.
 fn ask(address: SocketAddr, request: &str) -> String {
     let mut socket = TcpStream::connect(address).unwrap();

@@ -2,6 +2,7 @@
 
 use handcast_codec::PosesToStreamError;
 use handcast_fba::plan::{PlanOptions, Target};
+use handcast_hand::smooth::SmoothOptions;
 use handcast_hand::{PoseHeader, Side, Skeleton, TimedPose};
 use handcast_live::sender::{LivePoseEncoderOptions, PoseSender};
 use handcast_live::wire::{Message, Plane};
@@ -76,6 +77,7 @@ impl VideoOptions {
         // What is sent live cannot wait for fingers to bend.
         options.tuning.contest.undecided = 0;
         options.learn_again = false;
+        options.smooth = Some(SmoothOptions::live());
         Tracker::new(options)
     }
 }
@@ -111,9 +113,9 @@ pub struct VideoSender {
 impl VideoSender {
     /// One that has seen nothing.
     pub fn new(options: VideoOptions) -> Self {
-        let plan = PlanOptions { mode: Target::Rms(options.rms), ..PlanOptions::default() };
-        let sender =
-            PoseSender::new(LivePoseEncoderOptions::default().with_rate(options.rate).with_plan(plan));
+        let usual = LivePoseEncoderOptions::default();
+        let plan = PlanOptions { mode: Target::Rms(options.rms), ..usual.plan };
+        let sender = PoseSender::new(usual.with_rate(options.rate).with_plan(plan));
         Self { options, tracker: options.tracker(), sender, frames: 0, times: None, begun: 0.0 }
     }
 

@@ -8,6 +8,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, ensure};
 use handcast_formats::poses::read_poses;
+use handcast_hand::smooth::{PoseSmoother, SmoothOptions};
 use handcast_hand::{PoseClip, TimedPose};
 use handcast_live::client::RoomClient;
 use handcast_live::crowd::{Crowd, SentTimes};
@@ -38,7 +39,7 @@ const RATE: f64 = 30.0;
 /// Measures what a room costs on this machine: a thousand readers, bits on the wire, joining, and a browser
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// Poses to send, 30 a second; those of the built-in clip without
+    /// Poses to send, 30 a second, steadied as by live; those of the built-in clip without
     poses: Option<PathBuf>,
     /// Readers at once
     #[arg(long, value_name = "N", default_value_t = 1000)]
@@ -135,7 +136,7 @@ struct Joins {
 /// Runs the measurement.
 pub fn run(args: &Args) -> anyhow::Result<()> {
     let clip = match &args.poses {
-        Some(path) => read_poses(path)?,
+        Some(path) => steadied(read_poses(path)?),
         None => demo_poses()?,
     };
     let kbit_per_s = [wire(&clip, 1)?, wire(&clip, 2)?, wire(&clip, 3)?];
@@ -228,13 +229,25 @@ fn demo_poses() -> anyhow::Result<PoseClip> {
     let path = folder.0.join("demo.avi");
     demo_clip::write(&path)?;
     let mut source = handcast_media::open(&path, &OpenOptions::default())?;
-    let mut tracker = Tracker::new(ClipOptions::default());
+    let mut options = ClipOptions::default();
+    options.smooth = Some(SmoothOptions::live());
+    let mut tracker = Tracker::new(options);
     let mut frames = Vec::new();
     while let Some(frame) = source.next_frame()? {
         frames.extend(tracker.push(frame)?);
     }
     frames.extend(tracker.finish()?);
     Ok(PoseClip { header: tracker.header(Some(RATE)), frames })
+}
+
+/// The poses as `live` sends them: steadied as they come.
+fn steadied(mut clip: PoseClip) -> PoseClip {
+    let mut smoothers = [(); 2].map(|()| PoseSmoother::new(SmoothOptions::live()));
+    for frame in clip.frames.iter_mut().filter(|frame| frame.valid) {
+        let steady = smoothers[frame.pose.side as usize].next(frame.time, Some(&frame.pose));
+        frame.pose = steady.unwrap_or_else(|| frame.pose.clone());
+    }
+    clip
 }
 
 fn server() -> anyhow::Result<Server> {

@@ -50,6 +50,8 @@ pub struct LiveEncoder {
     interval: u64,
     steering: Steering,
     out: FrameWriter,
+    /// What errors of each BAP that is sent count for, in coding order; nothing of anchors, which P planes leave as they are.
+    worths: Vec<Option<Worth>>,
     /// BAPs whose P range did not hold the last frame, and the changes wanted.
     outgrown: Vec<(Bap, i64)>,
     /// Whether one of them lags so far behind that it shows.
@@ -60,7 +62,7 @@ pub struct LiveEncoder {
     /// Largest and smallest value of each BAP so far, 0 included.
     extent: [[i32; 2]; BAP_COUNT],
     worthy: BapMask,
-    /// The frame before.
+    /// The frame before, where the rate is to be held.
     before: Option<BapFrame>,
     /// Frames since the last I plane with all ranges.
     since_complete: u64,
@@ -144,6 +146,7 @@ impl LiveEncoder {
             interval: (options.intra_seconds * options.rate.per_second()).round().max(1.0) as u64,
             steering: Steering::new(options),
             out: FrameWriter::new(new_writer(options)),
+            worths: Vec::with_capacity(BAP_COUNT),
             outgrown: Vec::with_capacity(BAP_COUNT),
             urgent: false,
             late: [0; BAP_COUNT],
@@ -188,7 +191,9 @@ impl LiveEncoder {
             bits += self.out.align()?;
         }
         self.note_late(&frame);
-        self.before = Some(frame);
+        if self.holds_rate() {
+            self.before = Some(frame);
+        }
         self.since_complete += 1;
         let intra = bits.intra_values > 0;
         // A plane that stands for frames left out is at the first of them, and charged for then.
@@ -295,7 +300,7 @@ impl LiveEncoder {
             self.out.skip();
             return Ok(PlaneBits::default());
         }
-        self.out.write_predicted()
+        if self.options.aligned { self.out.write_aligned() } else { self.out.write_predicted() }
     }
 
     /// Makes the next plane an I plane that says everything, as soon as the rate has room for one.
@@ -386,6 +391,17 @@ impl LiveEncoder {
     fn room_to_lag(&self, bap: Bap) -> f64 {
         let brief = matches!(self.options.mode, Target::Rms(_)) && bap.unit() == Unit::Angle;
         self.room(bap) * if brief { MOMENT } else { 1.0 }
+    }
+
+    /// What errors of a BAP count for; nothing of an anchor.
+    fn worth(&self, bap: Bap) -> Option<Worth> {
+        (!self.options.anchors.contains(bap)).then(|| Worth {
+            degrees: self.options.degrees(bap),
+            worth: self.options.worth(bap),
+            zone: self.zone(bap),
+            beyond: if self.holds_rate() { BEYOND } else { f64::INFINITY },
+            room_to_lag: self.room_to_lag(bap),
+        })
     }
 
     /// Error from which on a value that lags behind shows, where the rate is to be held: the lower it is, the less room
@@ -497,23 +513,19 @@ impl LiveEncoder {
         let mut may_wait = true;
         // Where even that is too dear, everything waits.
         let pressing = held && lambda <= self.steering.lambda() / OVERDUE;
-        for slot in self.out.writer.layout().slots() {
-            let bap = slot.bap;
-            if self.options.anchors.contains(bap) {
+        for (slot, worth) in self.out.writer.layout().slots().iter().zip(&self.worths) {
+            let Some(worth) = worth else {
                 self.out.levels.push(0);
                 continue;
-            }
+            };
+            let bap = slot.bap;
             let wanted = i64::from(frame.value(bap)) - i64::from(self.out.writer.values()[bap.index()]);
-            let zone = self.zone(bap);
-            let beyond = if held { BEYOND } else { f64::INFINITY };
             let model = self.out.writer.models().model(slot);
-            let worth = Worth::of(&self.options, bap, zone, beyond);
             let overdue = held && self.is_overdue(bap);
             let price = if overdue { OVERDUE * lambda } else { lambda };
-            let (level, saved) = choose(slot, wanted, &model, price, &worth);
+            let (level, saved) = choose(slot, wanted, &model, price, worth);
             gain += saved;
-            may_wait &=
-                held && !(overdue && pressing && level != 0) || self.options.off(bap, wanted).abs() <= zone;
+            may_wait &= held && !(overdue && pressing && level != 0) || worth.off(wanted) <= worth.zone;
             self.out.levels.push(level);
         }
         if self.sparse && may_wait && gain < 0.0 {
@@ -525,32 +537,30 @@ impl LiveEncoder {
     fn note_changes(&mut self, frame: &BapFrame) -> bool {
         self.outgrown.clear();
         self.urgent = false;
-        for (slot, &level) in self.out.writer.layout().slots().iter().zip(&self.out.levels) {
+        let slots = self.out.writer.layout().slots().iter();
+        for ((slot, &level), worth) in slots.zip(&self.out.levels).zip(&self.worths) {
+            let Some(worth) = worth else { continue };
             let bap = slot.bap;
-            if self.options.anchors.contains(bap) {
-                continue;
-            }
             let wanted = i64::from(frame.value(bap)) - i64::from(self.out.writer.values()[bap.index()]);
-            let rounded = round_level(wanted, slot.step);
-            let clamped = level == slot.predicted[usize::from(rounded > 0)] && rounded != level;
+            let clamped = slot.predicted.contains(&level) && {
+                let rounded = round_level(wanted, slot.step);
+                level == slot.predicted[usize::from(rounded > 0)] && rounded != level
+            };
             let change = i64::from(level) * i64::from(slot.step);
             let noted = match &self.before {
                 // How far values lag says nothing about how fast they move.
-                Some(before) if self.holds_rate() => {
-                    i64::from(frame.value(bap)) - i64::from(before.value(bap))
-                }
+                Some(before) => i64::from(frame.value(bap)) - i64::from(before.value(bap)),
                 _ if clamped => wanted,
                 _ => change,
             };
             self.reach.note(bap, noted);
             let lags = match self.holds_rate() {
                 true => {
-                    let off = self.options.off(bap, wanted - change).abs();
-                    let shows = clamped && off > self.shown_lag(bap);
+                    let shows = clamped && worth.off(wanted - change) > self.shown_lag(bap);
                     self.urgent |= shows;
                     shows || clamped && wanted.abs() > JUMP * i64::from(level.abs()) * i64::from(slot.step)
                 }
-                false => self.options.off(bap, wanted - change).abs() > self.room_to_lag(bap),
+                false => worth.off(wanted - change) > worth.room_to_lag,
             };
             if lags {
                 self.outgrown.push((bap, wanted));
@@ -573,6 +583,10 @@ impl LiveEncoder {
         let start_code = self.options.resync && need == Need::Complete && !first;
         let Some(params) = self.params(frame, need, &header, start_code)? else { return Ok(None) };
         let bits = self.out.write(&header, start_code, Some(&params))?;
+        let mut worths = std::mem::take(&mut self.worths);
+        worths.clear();
+        worths.extend(self.out.writer.layout().slots().iter().map(|slot| self.worth(slot.bap)));
+        self.worths = worths;
         if need == Need::Complete {
             self.asked = false;
             self.steering.note_complete(bits.total() as f64);
@@ -637,6 +651,7 @@ impl LiveEncoder {
 }
 
 /// What errors of a BAP count for.
+#[derive(Clone, Debug)]
 struct Worth {
     /// Degrees of a unit, and what they count for.
     degrees: f64,
@@ -644,15 +659,18 @@ struct Worth {
     /// Squared degrees beyond `zone` count `beyond` times more.
     zone: f64,
     beyond: f64,
+    /// See [`LiveEncoder::room_to_lag`].
+    room_to_lag: f64,
 }
 
 impl Worth {
-    fn of(options: &PlanOptions, bap: Bap, zone: f64, beyond: f64) -> Self {
-        Self { degrees: options.degrees(bap), worth: options.worth(bap), zone, beyond }
+    /// A difference in degrees.
+    fn off(&self, difference: i64) -> f64 {
+        (difference as f64 * self.degrees).abs()
     }
 
     fn error(&self, off: i64) -> f64 {
-        let off = (off as f64 * self.degrees).abs();
+        let off = self.off(off);
         let over = off - self.zone;
         (off * self.worth).powi(2) + if over > 0.0 { self.beyond * over * over } else { 0.0 }
     }
@@ -665,8 +683,8 @@ fn choose(slot: &Slot, wanted: i64, model: &Adaptive<'_>, lambda: f64, worth: &W
     let nearest = round_level(wanted, slot.step).clamp(min, max);
     let error = |level: i32| worth.error(wanted - i64::from(level) * i64::from(slot.step));
     let cost = |level: i32| {
-        let (below, above) = model.bounds((level - min) as usize);
-        error(level) + lambda * (f64::from(model.total()) / f64::from(above - below)).log2()
+        let count = model.count((level - min) as usize);
+        error(level) + lambda * (f64::from(model.total()) / f64::from(count)).log2()
     };
     let (mut least, mut level) = (cost(nearest), nearest);
     let lower: &[i32] = match nearest.abs() {

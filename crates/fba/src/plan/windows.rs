@@ -41,14 +41,17 @@ impl Windows {
         let first = (GRACE * rate).floor() as u64;
         let end = ticks.last().map_or(0, |last| last + 1);
         let mut spans: Vec<Range<usize>> = Vec::new();
+        // Both ends only move on.
+        let mut span = 0..0;
+        let to =
+            |from: usize, start: u64| from + ticks[from..].iter().take_while(|&&tick| tick < start).count();
         for start in ticks.iter().flat_map(|&tick| [tick, tick + 1]) {
             if start < first || start + window > end {
                 continue;
             }
-            let span = ticks.partition_point(|&tick| tick < start)
-                ..ticks.partition_point(|&tick| tick < start + window);
+            span = to(span.start, start)..to(span.end, start + window);
             if spans.last() != Some(&span) {
-                spans.push(span);
+                spans.push(span.clone());
             }
         }
         let per_tick = kbit_per_s * 1000.0 / rate;

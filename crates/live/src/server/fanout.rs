@@ -415,7 +415,7 @@ impl Fanout {
     fn deliver(&mut self, delivery: &crate::room::Delivery) {
         let begun = Instant::now();
         let bytes = frame(&delivery.bytes);
-        let (mut given, mut left_out) = (0, 0);
+        let (mut given, mut left_out, mut waits) = (0, 0, false);
         let mut ended = Vec::new();
         for (index, slot) in self.clients.iter_mut().enumerate() {
             let Some(client) = slot else { continue };
@@ -423,6 +423,7 @@ impl Fanout {
             let Stage::Open(open) = &mut client.stage else { continue };
             if !delivery.is_for(&mut open.following, ready) {
                 left_out += 1;
+                waits |= ready;
             } else if client.send(&bytes, begun).is_ok() {
                 given += 1;
             } else {
@@ -437,6 +438,10 @@ impl Fanout {
         add(&self.counters.skipped, left_out);
         add(&self.counters.fanout_ns, u64::try_from(begun.elapsed().as_nanos()).unwrap_or_default());
         ended.into_iter().for_each(|index| self.close(index));
+        // One that missed planes of this period, and hears of none, cannot ask by itself.
+        if waits && self.room.may_mend(delivery.sender, begun) {
+            self.ask_intra(delivery.sender);
+        }
     }
 
     /// Tells everybody something that is no plane.

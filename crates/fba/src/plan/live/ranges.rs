@@ -1,5 +1,7 @@
 //! Masks and ranges chosen without look-ahead.
 
+use std::sync::LazyLock;
+
 use super::super::super::encoder::degrees_per_unit;
 use super::super::super::error::EncodeError;
 use super::super::super::reach::{intra_codes, predicted_code, set_ranges};
@@ -14,6 +16,8 @@ use crate::bap::{BAP_COUNT, Bap, BapFrame, BapMask};
 const WORTH_SENDING: f64 = 0.05;
 /// What a change that left its range is multiplied with to give the next range.
 const WIDENING: f64 = 1.3;
+/// The same where planes are sent one by one as they come: an I plane out of turn is ten of the others, and comes late.
+const WIDENING_SENT: f64 = 1.6;
 /// Share of that for other BAPs of the same kind.
 const KINSHIP: f64 = 0.5;
 /// What the largest change seen is multiplied with when ranges are chosen anew.
@@ -47,6 +51,14 @@ enum Kind {
 
 impl Kind {
     fn of(bap: Bap) -> Self {
+        // By name once: it is asked for every frame.
+        static KINDS: LazyLock<[Kind; BAP_COUNT]> = LazyLock::new(|| {
+            std::array::from_fn(|index| Bap::from_index(index).map_or(Kind::Other, Kind::named))
+        });
+        KINDS[bap.index()]
+    }
+
+    fn named(bap: Bap) -> Self {
         match bap.info().map_or("", |info| info.name) {
             name if name.ends_with("3_flexion") => Self::End,
             name if name.ends_with("flexion") => Self::Bend,
@@ -89,8 +101,9 @@ impl LiveEncoder {
     /// the other BAPs of their kind to some degree, as fingers move together.
     pub(super) fn widen(&mut self) {
         let mask = self.mask();
+        let widening = if self.options.aligned { WIDENING_SENT } else { WIDENING };
         for &(bap, wanted) in &self.outgrown {
-            let wide = (wanted as f64 * WIDENING) as i64;
+            let wide = (wanted as f64 * widening) as i64;
             let kin = (wide as f64 * KINSHIP) as i64;
             for other in mask.iter().filter(|other| Kind::of(*other) == Kind::of(bap)) {
                 let reach = if other == bap { wide } else { kin };
@@ -154,8 +167,8 @@ impl LiveEncoder {
 
     /// Hands of which joints are sent, or 1.
     fn hands(&self) -> f64 {
-        let sides = SIDES.into_iter().filter(|side| self.worthy.iter().any(|bap| finger(bap) == Some(side)));
-        sides.count().max(1) as f64
+        let moving = FINGERS.iter().filter(|fingers| !fingers.intersection(&self.worthy).is_empty());
+        moving.count().max(1) as f64
     }
 
     /// Whether ranges are to serve several I planes: where no decoder is to start at any of them.
@@ -312,13 +325,13 @@ impl LiveEncoder {
 /// The joints of the hands of which a finger joint is among `moving`, but for the bends of the palm, which many hands
 /// keep still: to switch one on later takes an I plane with all ranges.
 fn fingers_of(moving: &BapMask) -> BapMask {
-    let of_hand = |side: &str| -> BapMask { Bap::all().filter(|bap| finger(*bap) == Some(side)).collect() };
-    let moves = |side: &str| moving.iter().any(|bap| finger(bap) == Some(side));
-    SIDES.into_iter().filter(|side| moves(side)).fold(BapMask::EMPTY, |all, side| all.union(&of_hand(side)))
+    let moves = FINGERS.iter().filter(|fingers| !fingers.intersection(moving).is_empty());
+    moves.fold(BapMask::EMPTY, |all, fingers| all.union(fingers))
 }
 
-/// What the names of a side's joints begin with.
-const SIDES: [&str; 2] = ["l", "r"];
+/// The finger joints of each side, without the bends of the palm.
+static FINGERS: LazyLock<[BapMask; 2]> =
+    LazyLock::new(|| ["l", "r"].map(|side| Bap::all().filter(|bap| finger(*bap) == Some(side)).collect()));
 
 /// The side of a finger joint that is no bend of the palm.
 fn finger(bap: Bap) -> Option<&'static str> {
