@@ -106,8 +106,8 @@ impl Registration {
         self.solver.objective.evaluations()
     }
 
-    /// Moves `state`, the last one, to where model and evidence agree best: from the predicted state and, unless that leads to
-    /// where a finder has seen the joints, from the same with fingers in other postures, and from what was found with one
+    /// Moves `state`, the last one, to where model and evidence agree best: from the predicted state and, in most frames unless
+    /// that leads to where a finder has seen the joints, from the same with fingers in other postures, and from what was found with one
     /// finger folded more or less; and, in turns while the frame costs no more than the last ones, from the last state, from
     /// a thumb bent across the palm, from hands whose fingers close together, and from known postures with similar
     /// silhouettes.
@@ -139,9 +139,9 @@ impl Registration {
             solver.try_hypothesis(scene, other, state, &mut best);
         }
         self.frame += 1;
-        // Where a finder has seen the hand like this, other postures are worse.
-        let agrees = solver.agrees(scene, state);
-        if !agrees {
+        // Where a finder has seen the hand like this, other postures are mostly worse.
+        let every = solver.tuning.landmarks.tried_every.max(1);
+        if !solver.agrees(scene, state) || self.frame.is_multiple_of(every) {
             self.try_others((last, &first), scene, state, &mut best);
         }
         let t = self.solver.tuning.hypotheses;

@@ -36,9 +36,12 @@ tuning! {
         /// Distance at which a joint counts as an outlier (Geman & McClure 1985).
         ["hand lengths", "chosen by eye: a finger taken for its neighbour"]
         pub outlier: f64 = 0.12,
-        /// Mean distance of the joints of the model from those seen, up to which no other posture is tried.
-        ["hand lengths", "54 rendered clips with networks: angles and places are as good as with all hypotheses"]
+        /// Mean distance of the joints of the model from those seen, up to which other postures are hardly tried.
+        ["hand lengths", "54 rendered clips with networks: angles and places are about as good as with all hypotheses"]
         pub agrees: f64 = 0.045,
+        /// Every so many frames they are tried all the same.
+        ["frames", "rendered hands that grasp: without, places in space are 1 mm farther off; every second frame gains no more"]
+        pub tried_every: usize = 4,
         /// How far ahead of the wrist finders have it.
         ["hand lengths", "constant offset of MediaPipe's wrist on rendered hands: 8 to 9 % where they face the camera"]
         pub wrist_ahead: f64 = 0.09,
