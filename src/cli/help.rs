@@ -130,7 +130,7 @@ handcast spell HELLO -o hello.jsonl --labels hello.letters",
         "synth",
         "\
 handcast synth -o clip.avi --motion fist
-handcast synth -o clip/ --motion signs --random-hand --seed 7 --masks m/
+handcast synth -o signs/ --motion signs --random-hand --seed 7 --masks m/
 handcast synth -o two.avi --two-hands --meet",
     ),
     (

@@ -104,7 +104,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     }
     let bundle = Bundle::find(args.net.given()?.as_deref(), args.net.size())?;
     if let Some(what) = &bundle.left_out {
-        errln!("handcast: {what}; it is left out");
+        errln!("handcast: {what}; that network is left out, those below are whole");
     }
     let seen = demo(&bundle)?;
     if args.json {

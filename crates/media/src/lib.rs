@@ -492,11 +492,19 @@ fn sniff(head: &[u8]) -> Content {
     {
         return Content::Picture(Pnm);
     }
+    // Pictures in the boxes of movies.
+    let brands: [&[u8]; 6] = [b"avif", b"avis", b"heic", b"heix", b"mif1", b"msf1"];
+    if at(4, b"ftyp") && brands.iter().any(|brand| at(8, brand)) {
+        return Content::Other("AVIF or HEIC");
+    }
     let iso: [&[u8]; 6] = [b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip"];
     if iso.iter().any(|kind| at(4, kind)) {
         return Content::IsoMedia;
     }
-    let others: [(&[u8], &str); 6] = [
+    let others: [(&[u8], &str); 9] = [
+        (b"II*\0", "TIFF"),
+        (b"MM\0*", "TIFF"),
+        (b"\0\0\0\x0cjP  ", "JPEG 2000"),
         (b"\x1a\x45\xdf\xa3", "Matroska or WebM"),
         (b"FLV\x01", "FLV"),
         (b"OggS", "Ogg"),
@@ -519,4 +527,23 @@ fn sniff(head: &[u8]) -> Content {
         return Content::Text;
     }
     Content::Unknown
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pictures_that_the_helper_program_alone_reads_are_no_movies() {
+        let heads: [(&[u8], &str); 4] = [
+            (b"\0\0\0\x20ftypavif\0\0\0\0", "AVIF or HEIC"),
+            (b"\0\0\0\x18ftypheic\0\0\0\0", "AVIF or HEIC"),
+            (b"II*\0\x08\0\0\0", "TIFF"),
+            (b"\0\0\0\x0cjP  \r\n\x87\n", "JPEG 2000"),
+        ];
+        for (head, name) in heads {
+            assert!(matches!(sniff(head), Content::Other(found) if found == name), "{name}");
+        }
+        assert!(matches!(sniff(b"\0\0\0\x18ftypmp42\0\0\0\0"), Content::IsoMedia));
+    }
 }

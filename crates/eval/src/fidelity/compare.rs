@@ -341,13 +341,18 @@ fn at_same_instants(clips: [&PoseClip; 2], extents: [Extent; 2]) -> bool {
     a.len() == b.len() && a.iter().zip(&b).all(near)
 }
 
+/// How far the wrists are turned from each other, radians: exactly 0 where they are turned alike.
+fn turned(a: &HandPose, b: &HandPose) -> f64 {
+    if a.rotation.coords == b.rotation.coords { 0.0 } else { a.rotation.angle_to(&b.rotation) }
+}
+
 /// Whether two poses are the same within the tolerances.
 fn alike(a: &HandPose, b: &HandPose, options: &CompareOptions) -> bool {
     let near =
         |angle: &JointAngle| (a.angle(*angle) - b.angle(*angle)).to_degrees().abs() <= options.tolerance_deg;
     let moved = 1e3 * (a.translation - b.translation).norm();
     options.angles.iter().all(near)
-        && a.rotation.angle_to(&b.rotation).to_degrees() <= options.wrist_tolerance_deg
+        && turned(a, b).to_degrees() <= options.wrist_tolerance_deg
         && (!options.placed || moved <= options.wrist_tolerance_mm)
 }
 
@@ -488,7 +493,7 @@ impl<'o> Pairing<'o> {
             let [one, other] = joints.each_ref().map(|j| j.position(Joint::tip(finger)));
             self.tips.add(1e3 * (one - other).norm(), frame, time);
         }
-        let turned = a.rotation.angle_to(&b.rotation).to_degrees();
+        let turned = turned(a, b).to_degrees();
         self.rotation.add(turned, frame, time);
         furthest.add(turned, self.options.wrist_tolerance_deg, "wrist_rotation", "deg", None);
         let moved = 1e3 * (a.translation - b.translation).norm();

@@ -2,7 +2,7 @@
 //!
 //! No field of the syntax says that a value is to be derived. The rule is: a stream that sends the driver of a
 //! [`Tie`] but not what is driven leaves that to the decoder's model (`spec/NOTES.md`). Our encoder sends what is
-//! driven along with what drives it unless told to leave it out. Which BAPs are tied is the model's business: the
+//! driven along with what drives it unless told to leave it out, and then, too, where the tie is not firm. Which BAPs are tied is the model's business: the
 //! functions here take any list of ties.
 
 use super::{Bap, BapFrame, BapMask};
@@ -16,13 +16,15 @@ pub struct Tie {
     pub driven: Bap,
     /// The value of the driven BAP from that of its driver, each in its own unit.
     pub law: fn(i32) -> i32,
+    /// Whether what moves keeps to the law so well that an encoder may leave out what is driven.
+    pub firm: bool,
 }
 
 /// Laws are equal when they are the same function.
 impl PartialEq for Tie {
     fn eq(&self, other: &Self) -> bool {
         let same = std::ptr::fn_addr_eq(self.law, other.law);
-        same && (self.driver, self.driven) == (other.driver, other.driven)
+        same && (self.driver, self.driven, self.firm) == (other.driver, other.driven, other.firm)
     }
 }
 
@@ -38,7 +40,7 @@ pub fn driven(ties: &[Tie]) -> BapMask {
 /// use handcast_fba::bap::{Bap, BapMask};
 ///
 /// let [driver, driven] = ["r_index2_flexion", "r_index3_flexion"].map(|name| Bap::from_name(name).unwrap());
-/// let ties = [Tie { driver, driven, law: |value| value / 2 }];
+/// let ties = [Tie { driver, driven, law: |value| value / 2, firm: true }];
 /// let sent: BapMask = [driver].into_iter().collect();
 /// assert_eq!(left_to_model(&ties, &sent).iter().collect::<Vec<_>>(), [driven]);
 /// ```
@@ -80,6 +82,7 @@ mod tests {
             driver: bap(driver),
             driven: bap(driven),
             law: |v| 10 * v,
+            firm: true,
         })
     }
 

@@ -93,7 +93,7 @@ pub struct PlanOptions {
     pub anchors: BapMask,
     /// Parts of the body: where BAPs of one are given at least one is sent, so that a decoder knows that it is there.
     pub limbs: &'static [BapMask],
-    /// Leave out what `ties` derive.
+    /// Leave out what `ties` derive that are firm.
     pub derive: bool,
     /// Profile and level indication of a visual object sequence around the object, if one is wanted.
     pub wrapper: Option<u8>,
@@ -197,7 +197,8 @@ impl PlanOptions {
         if !self.derive {
             return *mask;
         }
-        let kept = mask.difference(&derive::driven(self.ties));
+        let firm: BapMask = self.ties.iter().filter(|tie| tie.firm).map(|tie| tie.driven).collect();
+        let kept = mask.difference(&firm);
         // What nothing drives must be sent.
         kept.union(&mask.difference(&derive::left_to_model(self.ties, &kept)))
     }

@@ -6,7 +6,7 @@
 
 use super::{BapTrack, ContentError, Format, Motion};
 use crate::mp4::{starts_at, stream_in, unwrapped};
-use handcast_codec::{decode_baps, hands_of_record, skin_tone_of_record};
+use handcast_codec::{decode_baps, hands_of_record, notices, skin_tone_of_record};
 use handcast_fba::DecoderOptions;
 use handcast_limits::Limits;
 
@@ -33,5 +33,6 @@ fn read(bytes: &[u8], limits: &Limits) -> Result<Motion, ContentError> {
     }
     header.skin_tone = skin_tone_of_record(&decoded.record);
     motion.clip.shift(starts_at(bytes));
+    motion.notes = notices::of_stream(decoded.passed_over, decoded.streams, decoded.trailing);
     Ok(motion)
 }

@@ -154,8 +154,9 @@ impl Found {
 
     /// Keeps a network if it is one that finds hands.
     fn network(&mut self, path: &Path, entry: Option<String>, bytes: &[u8]) -> Result<()> {
+        let name = entry.as_ref().map_or_else(|| path.to_owned(), |entry| path.join(entry));
         let file = NetFile::read(path, entry, bytes)
-            .map_err(|source| Error::Network { path: path.to_owned(), source: Box::new(source) })?;
+            .map_err(|source| Error::Network { path: name, source: Box::new(source) })?;
         self.networks.extend(file);
         Ok(())
     }
