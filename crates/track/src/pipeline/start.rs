@@ -17,15 +17,14 @@ use handcast_hand::Side;
 use handcast_vision::sighting::Sighting;
 use handcast_vision::{Mask, PartsError, Segmenter, Silhouette, VisionError, Wrist, find_parts};
 
-/// JPEG quality of pictures that are kept long.
+/// JPEG quality of pictures that are kept.
 const QUALITY: u8 = 88;
-/// Bytes of the newest pictures, which are kept as they are.
-const WHOLE: usize = 64 << 20;
 
 /// A picture that is kept.
 enum Kept {
-    Whole(RgbImage),
     Jpeg(Vec<u8>),
+    /// Of a frame that would have been tracked as it came, so that waiting does not change its poses.
+    Whole(Box<RgbImage>),
 }
 
 /// A frame that waits for the fit.
@@ -43,22 +42,25 @@ pub(super) struct Waiting {
 }
 
 impl Waiting {
-    fn new(segmented: Segmented, links: Vec<Link>, known: Vec<Known>) -> Self {
+    fn new(
+        segmented: Segmented,
+        links: Vec<Link>,
+        known: Vec<Known>,
+        whole: bool,
+    ) -> Result<Self, ClipError> {
         let Segmented { frame, parts, sightings, spent, .. } = segmented;
         let sightings = sightings.unwrap_or_default();
-        let picture = Kept::Whole(frame.image);
-        Self { index: frame.index, time: frame.time, picture, parts, links, sightings, known, segment: spent }
-    }
-
-    /// Compresses the picture.
-    fn compress(&mut self) -> Result<(), ClipError> {
-        let Kept::Whole(image) = &self.picture else { return Ok(()) };
-        let mut jpeg = Vec::new();
-        image::codecs::jpeg::JpegEncoder::new_with_quality(&mut jpeg, QUALITY)
-            .encode_image(image)
-            .map_err(|error| ClipError::Keep { index: self.index, what: error.to_string() })?;
-        self.picture = Kept::Jpeg(jpeg);
-        Ok(())
+        let (index, time) = (frame.index, frame.time);
+        let picture = if whole {
+            Kept::Whole(Box::new(frame.image))
+        } else {
+            let mut jpeg = Vec::new();
+            image::codecs::jpeg::JpegEncoder::new_with_quality(&mut jpeg, QUALITY)
+                .encode_image(&frame.image)
+                .map_err(|error| ClipError::Keep { index, what: error.to_string() })?;
+            Kept::Jpeg(jpeg)
+        };
+        Ok(Self { index, time, picture, parts, links, sightings, known, segment: spent })
     }
 
     /// Forgets the parts on these trails, which are no hands.
@@ -312,13 +314,8 @@ impl Lookout {
         if let Err(error) = &segmented.parts {
             self.last_error = Some(error.clone());
         }
-        // Frames that would have been tracked as they came stay as they are: waiting does not change their poses.
-        if self.contest.is_none() {
-            let newest = (WHOLE / segmented.frame.image.len().max(1)).max(1);
-            let older = (self.waiting.len() + 1).saturating_sub(newest);
-            self.waiting.iter_mut().take(older).try_for_each(Waiting::compress)?;
-        }
-        self.waiting.push(Waiting::new(segmented, links, known));
+        let whole = self.contest.is_some();
+        self.waiting.push(Waiting::new(segmented, links, known, whole)?);
         Ok(())
     }
 
