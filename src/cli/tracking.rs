@@ -29,7 +29,7 @@ use super::message;
 use super::net::NetArgs;
 use super::overlay::{Finished, Overlay};
 use super::poses_out::Lines;
-use super::resume::Resumed;
+use super::resume::{self, Newest, Resumed};
 use super::summary::{HandTally, Speed, Summary, per_second};
 
 /// How a clip is tracked.
@@ -264,7 +264,6 @@ impl TrackArgs {
         if let Some((resumed, journal)) = resumed {
             resumed.check(&work, journal)?;
             source = resumed.rest(source);
-            options.person = options.person.or_else(|| resumed.person());
             resumed.keep(journal)?;
         }
         let by_colours = options.finder.is_none() && masks.is_none();
@@ -272,7 +271,9 @@ impl TrackArgs {
         if let Some((lines, header)) = &mut sink.lines {
             header.hands = resumed.map(|(resumed, _)| resumed.hands()).unwrap_or_default();
             if !lines.flow() {
-                header.made_by = Some(work);
+                let newest = Newest::default();
+                source = newest.watch(source);
+                sink.journal = Some((work, newest));
             }
         }
         let end = track_frames(source, masks, &options, &mut sink);
@@ -291,6 +292,11 @@ impl TrackArgs {
         let (frames, tallies) =
             (std::mem::take(&mut sink.kept).unwrap_or_default(), std::mem::take(&mut sink.tallies));
         let overlay = sink.finish()?;
+        if let Some((resumed, journal)) = resumed {
+            let sides: Vec<_> = end.hands.iter().map(|start| start.side).collect();
+            let same = resumed.check_hands(&sides, journal);
+            same.map_err(anyhow::Error::from).or_else(|error| resumed.keep(journal).and(Err(error)))?;
+        }
         if let Some(told) = self.view.known().filter(|_| !self.quiet) {
             for start in end.hands.iter().filter(|start| start.view != told) {
                 let [told, shown] = [told.name(), start.view.name()];
@@ -509,6 +515,8 @@ struct Sink {
     bar: ProgressBar,
     /// Poses on standard output while they are found, where that is wanted.
     lines: Option<(Lines, PoseHeader)>,
+    /// What a journal is of, and how far the clip has been read.
+    journal: Option<(String, Newest)>,
     /// All poses, where they are wanted at the end.
     kept: Option<Vec<TimedPose>>,
     tallies: Vec<HandTally>,
@@ -541,6 +549,7 @@ impl Sink {
         Self {
             bar,
             lines: poses.lines.map(|lines| (lines, header)),
+            journal: None,
             kept: poses.keep.then(Vec::new),
             tallies: Vec::new(),
             overlay: overlay.map(|path| Overlay::new(path, rate)),
@@ -574,6 +583,9 @@ impl ClipSink for Sink {
             kept.extend(before.into_iter().flat_map(more));
         }
         self.tallies.push(tally);
+        if let Some(((_, header), (work, newest))) = self.lines.as_mut().zip(self.journal.as_ref()) {
+            header.made_by = Some(resume::told(work, newest.time()));
+        }
         if let Some((_, header)) = &mut self.lines
             && header.hand(start.side).is_none()
         {
