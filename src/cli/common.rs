@@ -6,7 +6,7 @@ use std::sync::OnceLock;
 use std::time::Duration;
 
 use super::usage::{bytes, positive, within};
-use anyhow::{Context, ensure};
+use anyhow::{Context, bail, ensure};
 use handcast_codec::mapping::Profile;
 use handcast_codec::notices;
 use handcast_eval::fidelity::{HandDifference, sampling};
@@ -368,10 +368,21 @@ pub fn read_filled(path: &Path) -> anyhow::Result<Vec<u8>> {
     Ok(bytes)
 }
 
+/// That the first bytes of the file at `path` are not those of a motion in another format, whatever its name says.
+pub fn check_is_stream(path: &Path, head: &[u8]) -> anyhow::Result<()> {
+    match Format::sniffed(head).filter(|format| format.id != "fba") {
+        Some(other) => {
+            bail!("{}: no stream, but {}, which encode and import take", path.display(), other.name)
+        }
+        None => Ok(()),
+    }
+}
+
 /// Reads a stream, from an MP4 file if it is in one, and the seconds at which it begins there.
 pub fn read_stream(path: &Path) -> anyhow::Result<(Vec<u8>, f64)> {
     let bytes = read_filled(path)?;
     if !mp4::is_mp4(&bytes) {
+        check_is_stream(path, &bytes)?;
         return Ok((bytes, 0.0));
     }
     let stream = mp4::unwrapped(&bytes).with_context(|| path.display().to_string())?.into_owned();

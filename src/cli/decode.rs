@@ -17,7 +17,7 @@ use handcast_formats::person::read_person;
 use handcast_hand::{JointAngle, Morphology, PoseHeader, Side, TimedPose, limits};
 use handcast_limits::Limit;
 
-use super::common::{self, StreamArgs, open_input, read_piece, read_stream};
+use super::common::{self, StreamArgs, check_is_stream, open_input, read_piece, read_stream};
 use super::given;
 use super::poses_out::{Lines, OutArgs, write_whole};
 
@@ -112,6 +112,8 @@ fn decode_lines(args: &Args, options: DecoderOptions, morphology: Option<&Morpho
         start = mp4::starts_at(&file);
         let stream = mp4::unwrapped(&file).with_context(|| format!("{name}"))?.into_owned();
         input = Box::new(std::io::Cursor::new(stream));
+    } else {
+        check_is_stream(&args.input, head)?;
     }
     let told_profile = args.stream.profile.map(Profile::from);
     let mut decoder = PoseDecoder::new(

@@ -93,17 +93,21 @@ pub fn check_outputs(matches: &ArgMatches) -> anyhow::Result<()> {
                 None if id == "output" => made_in(name, path),
                 None => &[],
             };
-            // Opening a pipe would wait for its reader, and closing it tell that there is nothing.
-            // What folders are good for, the command says.
-            let passed_on = || std::fs::metadata(path).is_ok_and(|found| !found.is_file());
             if !inside.is_empty() {
                 try_folder(path, inside)?;
-            } else if !passed_on() {
+            } else if !is_passed_on(path) {
                 try_file(path)?;
             }
         }
     }
     Ok(())
+}
+
+/// Whether what is there is not tried: opening a pipe would wait for its reader, and closing it tell that there is nothing. Of a
+/// folder whose name ends like none of the files that are written, the command says what is allowed.
+fn is_passed_on(path: &Path) -> bool {
+    std::fs::metadata(path)
+        .is_ok_and(|found| if found.is_dir() { path.extension().is_none() } else { !found.is_file() })
 }
 
 /// Makes sure that a file can be written, and leaves none.

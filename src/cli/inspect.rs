@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 use std::io::{self, Write as _};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use anyhow::bail;
 use handcast_codec::notices;
@@ -11,7 +11,6 @@ use handcast_fba::bap::BapMask;
 use handcast_fba::bap::derive::left_to_model;
 use handcast_fba::inspect::{InspectedPlane, Inspector};
 use handcast_fba::{DecoderOptions, PlaneBits, SyntaxError};
-use handcast_formats::motion::Format;
 
 use super::common::{Ranges, Steps, read_stream};
 
@@ -37,10 +36,6 @@ pub struct Args {
 /// Prints the planes of a stream; fails, after printing what could be read, if the stream is damaged.
 pub fn run(args: &Args) -> anyhow::Result<()> {
     let (bytes, _) = read_stream(&args.file)?;
-    // What the bytes are, whatever the name says.
-    if let Some(other) = Format::of(Path::new("-"), &bytes).filter(|format| format.id != "fba") {
-        bail!("{}: no stream, but {}", args.file.display(), other.name);
-    }
     let options =
         DecoderOptions { steps: args.steps.into(), ranges: args.ranges.into(), ..DecoderOptions::default() };
     let mut inspector = Inspector::new(&bytes, options);

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use anyhow::{Context, bail};
+use anyhow::{Context, anyhow, bail};
 use clap::Args as ClapArgs;
 use handcast_formats::person::read_person;
 use handcast_hand::shapes::{MAX_BYTES, ShapeError, ShapeLibrary};
@@ -72,7 +72,15 @@ impl HandArgs {
 
     /// Why there is no such shape: of those built in, whatever is in any file.
     pub fn no_shape(&self, error: ShapeError) -> anyhow::Error {
-        if self.shapes.is_none() { Usage(error.to_string()).into() } else { error.into() }
+        let more = match (&error, &self.shapes) {
+            (ShapeError::Unknown { .. }, None) => "; handcast pose --list tells all names".to_owned(),
+            (ShapeError::Unknown { .. }, Some(path)) => {
+                format!("; handcast pose --list --shapes {} tells all names", path.display())
+            }
+            _ => String::new(),
+        };
+        let told = format!("{error}{more}");
+        if self.shapes.is_none() { Usage(told).into() } else { anyhow!(told) }
     }
 }
 

@@ -23,6 +23,7 @@ use super::files::{begin_partial, go_on_with_partial, set_aside};
 use super::given;
 use super::glb_out::GlbArgs;
 use super::out::Stdout;
+use super::resume::OtherHands;
 use super::tracking::Refused;
 use super::usage::within;
 
@@ -369,9 +370,10 @@ impl Journal {
         self.tracked = true;
         if let Err(error) = &tracked {
             self.refused = error.is::<Refused>();
-            // Where a clip cannot be read, the next run stops, too.
+            // Where a clip cannot be read, or shows other hands, the next run stops, too.
             let unread =
-                matches!(error.downcast_ref(), Some(ClipError::Frames(_) | ClipError::Unlike { .. }));
+                matches!(error.downcast_ref(), Some(ClipError::Frames(_) | ClipError::Unlike { .. }))
+                    || error.is::<OtherHands>();
             if let Some((_, resumable)) = &mut *JOURNAL.lock().unwrap_or_else(PoisonError::into_inner) {
                 *resumable = !unread;
             }

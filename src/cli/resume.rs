@@ -1,11 +1,13 @@
 //! Going on where a run that was ended has stopped: its journal, and the frames that are still to be tracked.
 
 use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 use anyhow::{Context, bail};
 use handcast_formats::atomic::AtomicFile;
 use handcast_formats::poses::{PoseReader, write_lines};
-use handcast_hand::{ClipHand, Person, PoseClip, PoseHeader};
+use handcast_hand::{ClipHand, PoseClip, PoseHeader, Side};
 use handcast_media::{ClipInfo, Frame, FrameError, FrameSource};
 
 use super::common::{limits, read_input};
@@ -16,14 +18,44 @@ const LEARNING: f64 = 4.0;
 const OVERLAP: f64 = 2.0;
 /// Seconds before the journal's end from which on the poses are those tracked now.
 const SETTLED: f64 = 0.5;
+/// Seconds that are worth being left out: what is tracked without a gap is as without a stop.
+const WORTH: f64 = 2.0;
 
 /// Seconds before a frame at which none is.
 const BETWEEN: f64 = 2e-4;
 
+/// What stands in a journal between what it is of and how many seconds of the clip told which hands there are.
+const FOUND: &str = ", hands found by second ";
+
+/// What a journal's header says made it: the `work`, and the time of the newest frame read when its hands were found.
+pub fn told(work: &str, found: f64) -> String {
+    format!("{work}{FOUND}{found:.3}")
+}
+
+/// What a journal is of, and the seconds that are tracked again for its hands to be found as they were.
+fn taken_apart(told: &str) -> (&str, Option<f64>) {
+    match told.rsplit_once(FOUND) {
+        Some((work, found)) => (work, found.parse().ok().filter(|found: &f64| found.is_finite())),
+        None => (told, None),
+    }
+}
+
+/// What is tracked now shows other hands than the journal.
+#[derive(Debug, thiserror::Error)]
+#[error(
+    "--resume: the rest of the clip shows a {now} hand where {journal} has a {before} one: track it anew, without --resume, \
+     and say with --hand and --view which hand it is"
+)]
+pub struct OtherHands {
+    journal: String,
+    before: &'static str,
+    now: &'static str,
+}
+
 /// What a journal has, and from where on the clip is tracked.
 pub struct Resumed {
     clip: PoseClip,
-    /// Seconds up to which the clip's beginning is tracked again.
+    /// Seconds up to which the clip's beginning is tracked again: all that told which hands there are.
     learned: f64,
     /// Seconds from which on it is tracked.
     from: f64,
@@ -51,12 +83,16 @@ impl Resumed {
         let settled = clip.frames.iter().map(|pose| pose.time).find(|time| *time >= end - SETTLED);
         let joint = settled.map_or(0.0, |time| (time - BETWEEN).max(0.0));
         clip.frames.retain(|pose| pose.time < joint);
-        Ok(Self { clip, learned: begin + LEARNING, from: end - OVERLAP, joint })
+        // Poses before a hand opens are filled in backwards: they do not tell when it was found.
+        let (_, found) = taken_apart(clip.header.made_by.as_deref().unwrap_or_default());
+        let learned = found.unwrap_or(end).max(begin + LEARNING);
+        let from = if end - OVERLAP < learned + WORTH { 0.0 } else { end - OVERLAP };
+        Ok(Self { clip, learned, from, joint })
     }
 
     /// That the journal is of the same `work`: clip, options and version of the program.
     pub fn check(&self, work: &str, journal: &Path) -> anyhow::Result<()> {
-        let told = self.clip.header.made_by.as_deref().unwrap_or("nothing");
+        let (told, _) = taken_apart(self.clip.header.made_by.as_deref().unwrap_or("nothing"));
         if told != work {
             bail!(
                 "--resume: {} is of another clip, or was made with other options or another version: it says “{told}”, this \
@@ -72,12 +108,22 @@ impl Resumed {
         AtomicFile::write_all_to(journal, &write_lines(&self.clip)?).context("cannot write")
     }
 
-    /// The person whose sizes the journal tells, where a hand begins behind what is tracked again. Those of others are
-    /// measured anew, and better than when the journal's first lines were written.
-    pub fn person(&self) -> Option<Person> {
-        let begins = |hand: &ClipHand| self.clip.of(hand.side).find(|pose| pose.valid).map(|pose| pose.time);
-        let late = self.clip.header.hands.iter().filter_map(begins).any(|begin| begin > self.learned);
-        if late { self.clip.person() } else { None }
+    /// That the hands tracked now are those of the journal, or more: of it one may have gone, or one have come, not both.
+    ///
+    /// # Errors
+    /// [`OtherHands`].
+    pub fn check_hands(&self, now: &[Side], journal: &Path) -> Result<(), OtherHands> {
+        let before = &self.clip.header;
+        let gone = before.hands.iter().map(|hand| hand.side).find(|side| !now.contains(side));
+        let come = now.iter().find(|side| before.hand(**side).is_none());
+        match gone.zip(come) {
+            Some((gone, come)) => Err(OtherHands {
+                journal: journal.display().to_string(),
+                before: gone.name(),
+                now: come.name(),
+            }),
+            None => Ok(()),
+        }
     }
 
     /// The hands of the journal.
@@ -116,6 +162,50 @@ impl Resumed {
     }
 }
 
+/// The time of the newest frame that a clip has given, seconds.
+#[derive(Clone, Default)]
+pub struct Newest(Arc<AtomicU64>);
+
+impl Newest {
+    /// The clip, whose frames set the time.
+    pub fn watch(&self, source: Box<dyn FrameSource>) -> Box<dyn FrameSource> {
+        Box::new(Watched { source, newest: self.clone() })
+    }
+
+    /// Seconds; 0 before the first frame.
+    pub fn time(&self) -> f64 {
+        f64::from_bits(self.0.load(Ordering::Relaxed))
+    }
+}
+
+/// A clip that tells how far it has been read.
+struct Watched {
+    source: Box<dyn FrameSource>,
+    newest: Newest,
+}
+
+impl FrameSource for Watched {
+    fn info(&self) -> &ClipInfo {
+        self.source.info()
+    }
+
+    fn set_max_side(&mut self, side: u32) {
+        self.source.set_max_side(side);
+    }
+
+    fn next_frame(&mut self) -> Result<Option<Frame>, FrameError> {
+        let frame = self.source.next_frame()?;
+        if let Some(frame) = &frame {
+            self.newest.0.store(frame.time.to_bits(), Ordering::Relaxed);
+        }
+        Ok(frame)
+    }
+
+    fn shortfall(&self) -> Option<String> {
+        self.source.shortfall()
+    }
+}
+
 /// A clip without the frames between its beginning and where tracking goes on.
 struct Rest {
     source: Box<dyn FrameSource>,
@@ -147,5 +237,48 @@ impl FrameSource for Rest {
 
     fn shortfall(&self) -> Option<String> {
         self.source.shortfall()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use handcast_hand::{HandPose, TimedPose};
+
+    /// A journal of one right hand in twelve seconds.
+    fn journal(told: &str) -> Resumed {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("x.partial.jsonl");
+        let mut header = PoseHeader::one(Side::Right, None, Some(10.0));
+        header.made_by = Some(told.to_owned());
+        let pose = |i| TimedPose::new(f64::from(i) / 10.0, HandPose::neutral(Side::Right));
+        let clip = PoseClip { header, frames: (0..=120).map(pose).collect() };
+        std::fs::write(&path, write_lines(&clip).unwrap()).unwrap();
+        let resumed = Resumed::read(&path).unwrap();
+        resumed.check("a work", &path).unwrap();
+        assert!(resumed.check("another", &path).is_err());
+        resumed
+    }
+
+    #[test]
+    fn what_told_the_hands_is_tracked_again() {
+        let learned = |told: &str| journal(told).learned;
+        assert_eq!(learned(&told("a work", 5.9)), 5.9);
+        assert_eq!(learned(&told("a work", 0.5)), LEARNING);
+        // Where nothing tells, all is.
+        assert_eq!(learned("a work"), 12.0);
+        // A short gap is none.
+        assert_eq!([7.9, 8.1].map(|found| journal(&told("a work", found)).from), [10.0, 0.0]);
+    }
+
+    #[test]
+    fn other_hands_are_not_joined() {
+        let resumed = journal(&told("a work", 0.5));
+        let check = |now: &[Side]| resumed.check_hands(now, Path::new("x.partial.jsonl"));
+        for fine in [&[Side::Right][..], &[Side::Right, Side::Left], &[]] {
+            assert!(check(fine).is_ok(), "{fine:?}");
+        }
+        let error = check(&[Side::Left]).unwrap_err().to_string();
+        assert!(error.contains("a left hand where x.partial.jsonl has a right one"), "{error}");
     }
 }

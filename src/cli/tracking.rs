@@ -29,7 +29,7 @@ use super::message;
 use super::net::NetArgs;
 use super::overlay::{Finished, Overlay};
 use super::poses_out::Lines;
-use super::resume::Resumed;
+use super::resume::{self, Newest, Resumed};
 use super::summary::{HandTally, Speed, Summary, per_second};
 
 /// How a clip is tracked.
@@ -123,16 +123,18 @@ enum StartArg {
 #[error("{0}")]
 pub struct Refused(String);
 
-/// The error with how to get round it, where there is a way; `by_colours` says that nothing but colours and motion told where
+/// The error, of the clip called `name`, with how to get round it, where there is a way; `by_colours` says that nothing but colours and motion told where
 /// the hand is.
-fn advised(error: ClipError, by_colours: bool) -> anyhow::Error {
-    use ClipError::{BadFit, Empty, Learn, NeverOpen, NoHand, Option, Person};
+fn advised(error: ClipError, name: &Path, by_colours: bool) -> anyhow::Error {
+    use ClipError::{BadFit, Empty, Frames, Learn, NeverOpen, NoHand, Option, Person, Sink};
     if !matches!(
         error,
         NeverOpen { .. } | NoHand { .. } | BadFit { .. } | Learn { .. } | Empty | Option { .. } | Person(_)
     ) {
-        // Such a clip may have had poses until then.
-        return error.into();
+        // Such a clip may have had poses until then. What reads and what writes name their files.
+        let named = matches!(error, Frames(_) | Sink(_));
+        let error = anyhow::Error::from(error);
+        return if named { error } else { error.context(name.display().to_string()) };
     }
     let never_open = matches!(error, NeverOpen { .. });
     let misled =
@@ -144,7 +146,7 @@ fn advised(error: ClipError, by_colours: bool) -> anyhow::Error {
     if by_colours && (never_open || misled) {
         advice += "; networks, of which `handcast net` tells, find hands by more than colours";
     }
-    Refused(format!("{error}{advice}")).into()
+    Refused(format!("{}: {error}{advice}", name.display())).into()
 }
 
 /// What is said of smoothing poses as they come.
@@ -206,6 +208,20 @@ fn read_sightings(path: &Path, clip: &ClipInfo) -> anyhow::Result<ReadySightings
     Ok(ReadySightings::new(frames, 0.75 / rate).in_pictures_of(width.round() as u32))
 }
 
+/// That there is a mask for each frame, as far as it is known before they are read.
+fn check_masks(masks: &Path, have: &ClipInfo, clip: &Path, want: &ClipInfo) -> anyhow::Result<()> {
+    let Some((have, frames)) = have.frames.zip(want.frames).filter(|(have, frames)| have < frames) else {
+        return Ok(());
+    };
+    let told = format!("{}: {have} masks for the {frames} frames of {}", masks.display(), clip.display());
+    // An AVI file counts frames that it leaves out, too.
+    if !want.format.starts_with("avi") {
+        bail!(told);
+    }
+    errln!("handcast: {told}, if these are as many as it says");
+    Ok(())
+}
+
 /// Probability of a side that a file of landmarks names.
 const SURE: f64 = 0.98;
 /// Joints that move by less than this share of the hand's length from frame to frame are looked for in every second
@@ -264,19 +280,21 @@ impl TrackArgs {
         if let Some((resumed, journal)) = resumed {
             resumed.check(&work, journal)?;
             source = resumed.rest(source);
-            options.person = options.person.or_else(|| resumed.person());
             resumed.keep(journal)?;
         }
         let by_colours = options.finder.is_none() && masks.is_none();
+        let of_masks = masks.as_ref().and_then(|masks| masks.info().frames);
         let mut sink = Sink::new(self, path, overlay, poses, rate, source.as_ref());
         if let Some((lines, header)) = &mut sink.lines {
             header.hands = resumed.map(|(resumed, _)| resumed.hands()).unwrap_or_default();
             if !lines.flow() {
-                header.made_by = Some(work);
+                let newest = Newest::default();
+                source = newest.watch(source);
+                sink.journal = Some((work, newest));
             }
         }
         let end = track_frames(source, masks, &options, &mut sink);
-        let end = end.map_err(|error| advised(error, by_colours))?;
+        let end = end.map_err(|error| advised(error, path, by_colours))?;
         if let Some(shortfall) = &end.shortfall {
             errln!("handcast: {}: {shortfall}", path.display());
         }
@@ -288,9 +306,23 @@ impl TrackArgs {
                 end.further
             );
         }
+        if let (Some(dir), Some(masks)) = (&self.mask, of_masks)
+            && masks > sink.read
+        {
+            let (dir, name, unused) = (dir.display(), path.display(), masks - sink.read);
+            errln!(
+                "handcast: {dir}: {masks} masks for the {} frames of {name}: {unused} are not used",
+                sink.read
+            );
+        }
         let (frames, tallies) =
             (std::mem::take(&mut sink.kept).unwrap_or_default(), std::mem::take(&mut sink.tallies));
         let overlay = sink.finish()?;
+        if let Some((resumed, journal)) = resumed {
+            let sides: Vec<_> = end.hands.iter().map(|start| start.side).collect();
+            let same = resumed.check_hands(&sides, journal);
+            same.map_err(anyhow::Error::from).or_else(|error| resumed.keep(journal).and(Err(error)))?;
+        }
         if let Some(told) = self.view.known().filter(|_| !self.quiet) {
             for start in end.hands.iter().filter(|start| start.view != told) {
                 let [told, shown] = [told.name(), start.view.name()];
@@ -334,7 +366,11 @@ impl TrackArgs {
             let told = source.info().notices();
             told.iter().for_each(|notice| errln!("handcast: {}: {notice}", path.display()));
         }
-        Ok((source, self.mask.as_ref().map(|dir| handcast_media::open(dir, &open)).transpose()?))
+        let masks = self.mask.as_ref().map(|dir| handcast_media::open(dir, &open)).transpose()?;
+        if let (Some(dir), Some(masks)) = (&self.mask, &masks) {
+            check_masks(dir, masks.info(), path, source.info())?;
+        }
+        Ok((source, masks))
     }
 
     /// A bar for the frames of a clip, where one is wanted.
@@ -509,6 +545,10 @@ struct Sink {
     bar: ProgressBar,
     /// Poses on standard output while they are found, where that is wanted.
     lines: Option<(Lines, PoseHeader)>,
+    /// What a journal is of, and how far the clip has been read.
+    journal: Option<(String, Newest)>,
+    /// Frames read.
+    read: usize,
     /// All poses, where they are wanted at the end.
     kept: Option<Vec<TimedPose>>,
     tallies: Vec<HandTally>,
@@ -541,6 +581,8 @@ impl Sink {
         Self {
             bar,
             lines: poses.lines.map(|lines| (lines, header)),
+            journal: None,
+            read: 0,
             kept: poses.keep.then(Vec::new),
             tallies: Vec::new(),
             overlay: overlay.map(|path| Overlay::new(path, rate)),
@@ -556,7 +598,8 @@ impl Sink {
 
 impl ClipSink for Sink {
     fn read(&mut self, index: usize) -> Result<(), String> {
-        self.bar.set_position(index as u64 + 1);
+        self.read = index + 1;
+        self.bar.set_position(self.read as u64);
         Ok(())
     }
 
@@ -574,6 +617,9 @@ impl ClipSink for Sink {
             kept.extend(before.into_iter().flat_map(more));
         }
         self.tallies.push(tally);
+        if let Some(((_, header), (work, newest))) = self.lines.as_mut().zip(self.journal.as_ref()) {
+            header.made_by = Some(resume::told(work, newest.time()));
+        }
         if let Some((_, header)) = &mut self.lines
             && header.hand(start.side).is_none()
         {

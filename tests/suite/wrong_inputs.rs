@@ -21,7 +21,9 @@ impl Folder {
         static MADE: OnceLock<Files> = OnceLock::new();
         let folder = Self(tempfile::tempdir().unwrap());
         MADE.get_or_init(|| Files::made(Self::fill)).put(folder.0.path());
-        std::fs::create_dir(folder.at("folder")).unwrap();
+        for name in ["folder", "folder.jsonl", "folder.avi", "folder.html"] {
+            std::fs::create_dir(folder.at(name)).unwrap();
+        }
         folder
     }
 
@@ -205,9 +207,18 @@ fn outputs_that_cannot_be_are_named() {
         ("synth -o x.xyz", "give FILE.avi, or a folder"),
     ];
     let missing = missing.map(|line| (line.to_owned(), "none/x.".to_owned()));
-    let folder = ("encode good.jsonl -o folder", "folder: the output path is a directory");
+    let folders = [
+        ("encode good.jsonl -o folder", "folder: the output path is a directory"),
+        // Before the work, of which nothing is left.
+        ("track clip.avi --no-net -o folder.jsonl", "folder.jsonl: the output path is a directory"),
+        (
+            "track clip.avi --no-net -o x.jsonl --overlay folder.avi/",
+            "folder.avi/: the output path is a directory",
+        ),
+        ("fidelity good.jsonl -o folder.html", "folder.html: the output path is a directory"),
+    ];
     let owned = |(line, words): (&str, &str)| (line.to_owned(), words.to_owned());
-    refused(missing.into_iter().chain([owned(folder)]));
+    refused(missing.into_iter().chain(folders.map(owned)));
     failed(2, kinds.map(owned));
 }
 
@@ -221,7 +232,11 @@ fn odd_options_are_refused_with_what_is_allowed() {
         ("fidelity --truth words.jsonl", "words.jsonl: poses: line 1: not JSON"),
         ("track clip.avi -o x.jsonl --mask none", "none: no such file"),
         ("track clip.avi -o x.jsonl --person words.toml", "words.toml"),
-        ("pose asl:A -o x.glb --shapes few.toml", "no shape is called"),
+        ("pose asl:A -o x.glb --shapes few.toml", "handcast pose --list --shapes few.toml tells all names"),
+        ("decode good.jsonl -o x.glb", "good.jsonl: no stream, but poses, which encode and import take"),
+        ("decode good.glb -o x.jsonl", "good.glb: no stream, but "),
+        ("decode good.bap -o - --to jsonl", "good.bap: no stream, but "),
+        ("inspect good.bvh", "good.bvh: no stream, but "),
         (
             "bench track clip.avi --counts words.jsonl",
             "words.jsonl: line 1: \"these are words\", expected FIRST-LAST",
@@ -247,6 +262,48 @@ fn odd_options_are_refused_with_what_is_allowed() {
     ];
     let owned = |(line, words): (&str, &str)| (line.to_owned(), words.to_owned());
     refused(values.map(owned));
+}
+
+#[test]
+fn masks_are_counted() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = |line: &str| {
+        let out = run_in(folder.path(), line);
+        println!("{line}\n    {}", text(&out.stderr));
+        (out.status.code(), text(&out.stderr).to_owned())
+    };
+    for more in ["x.avi --masks m", "shots"] {
+        assert_eq!(run(&format!("synth -o {more} --frames 12 --size 240x180 -q")).0, Some(0));
+    }
+    let mask = |number: usize| folder.path().join(format!("m/{number:05}.png"));
+    std::fs::copy(mask(11), mask(12)).unwrap();
+    let (code, told) = run("track x.avi --mask m -o x.jsonl -q");
+    assert_eq!(code, Some(0));
+    assert!(told.contains("m: 13 masks for the 12 frames of x.avi: 1 are not used"), "{told}");
+    for number in [11, 12] {
+        std::fs::remove_file(mask(number)).unwrap();
+    }
+    // How many frames a folder has is sure; an AVI file may leave out some of those that it tells.
+    let told = "m: 11 masks for the 12 frames of";
+    for (clip, words) in [("x.avi", "x.avi: mask "), ("shots", "")] {
+        let (code, said) = run(&format!("track {clip} --mask m -o y.jsonl -q"));
+        assert_eq!(code, Some(1));
+        assert!(said.contains(&format!("{told} {clip}")) && said.contains(words), "{said}");
+    }
+}
+
+#[test]
+fn clips_without_a_hand_are_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let grey = image::RgbImage::from_pixel(64, 48, image::Rgb([90, 90, 90]));
+    for number in 0..3 {
+        std::fs::create_dir_all(folder.path().join("grey")).unwrap();
+        grey.save(folder.path().join(format!("grey/{number}.png"))).unwrap();
+    }
+    let out = run_in(folder.path(), "track grey --no-net -o x.jsonl -q");
+    let told = text(&out.stderr);
+    assert_eq!(out.status.code(), Some(1), "{told}");
+    assert!(told.starts_with("handcast: grey: ") && told.matches("grey").count() == 1, "{told}");
 }
 
 #[test]
@@ -280,7 +337,7 @@ fn wrong_usage_is_told_apart() {
         ("send none.fba --vmc localhost:70000", "--vmc: \"localhost:70000\" is no receiver: the port is not"),
         ("live clip.avi --vmc :39539", "--vmc: \":39539\" is no receiver: there is no host"),
         ("spell H! -o x.glb", "'!' cannot be spelled, allowed A to Z"),
-        ("pose nothing -o x.glb", "no shape is called"),
+        ("pose nothing -o x.glb", "no shape is called \"nothing\"; handcast pose --list tells all names"),
     ];
     failed(2, misused.map(owned));
 }

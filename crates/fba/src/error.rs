@@ -4,7 +4,7 @@ use thiserror::Error;
 
 use crate::bap::{Bap, Unit};
 use crate::encoder::degrees_per_unit;
-use crate::syntax::PlaneKind;
+use crate::syntax::{OBJECT_START, PlaneKind, SEQUENCE_START};
 
 /// What a caller can do about an error.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -34,7 +34,10 @@ pub enum SyntaxError {
         bit: u64,
     },
     /// The data do not begin with an FBA object: they are none, or the middle of one.
-    #[error("not an fba stream: the first 32 bits are {found:#010x}, expected the start code 0x000001ba")]
+    #[error(
+        "not an fba stream: the first 32 bits are {found:#010x}, expected the start code {SEQUENCE_START:#010x} of a visual object \
+         sequence or {OBJECT_START:#010x} of an fba object"
+    )]
     NoObject {
         /// What stands there.
         found: u32,
