@@ -40,7 +40,7 @@ tuning! {
         ["hand lengths", "54 rendered clips with networks: angles and places are about as good as with all hypotheses"]
         pub agrees: f64 = 0.045,
         /// Every so many frames they are tried all the same.
-        ["frames", "rendered hands that grasp: without, places in space are 1 mm farther off; every second frame gains no more"]
+        ["frames", "chosen: a posture that is wrong though its joints agree is found within a few frames"]
         pub tried_every: usize = 4,
         /// How far ahead of the wrist finders have it.
         ["hand lengths", "constant offset of MediaPipe's wrist on rendered hands: 8 to 9 % where they face the camera"]
