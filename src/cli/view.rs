@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
-use anyhow::{Context as _, ensure};
+use anyhow::Context;
 use handcast_media::OpenOptions;
 use handcast_view::{Film, Pictures, Show, Video, bind, page, picture_side, serve, times};
 
@@ -50,7 +50,6 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     }
     let input = &args.motion.input;
     let mut motion = args.motion.read()?;
-    ensure!(!motion.clip.frames.is_empty(), "{}: no pose in it", input.display());
     let told = &mut motion.clip.header.skin_tone;
     *told = args.tone.or(*told);
     let video = match &args.clip {
