@@ -386,6 +386,7 @@ fn apart(these: &[(f64, Vec<f64>)], those: &[TimedPose]) -> (f64, f64, usize) {
 fn tracked_here(frames: &[Frame], darker: Option<usize>) -> Vec<TimedPose> {
     let mut options = ClipOptions::default();
     (options.threads, options.learning_frames, options.max_lead_in) = (1, 30, 120);
+    options.smooth = Some(handcast::hand::smooth::SmoothOptions::live());
     let mut tracker = Tracker::new(options);
     let mut poses = Vec::new();
     for frame in frames {
