@@ -123,8 +123,8 @@ enum StartArg {
 #[error("{0}")]
 pub struct Refused(String);
 
-/// The error, of the clip called `name`, with how to get round it, where there is a way; `by_colours` says that nothing but colours and motion told where
-/// the hand is.
+/// The error, of the clip called `name`, with how to get round it, where there is a way; `by_colours` says that nothing but
+/// colours and motion told where the hand is.
 fn advised(error: ClipError, name: &Path, by_colours: bool) -> anyhow::Error {
     use ClipError::{BadFit, Empty, Frames, Learn, NeverOpen, NoHand, Option, Person, Sink};
     if !matches!(

@@ -445,49 +445,34 @@ mod tests {
     }
 
     /// The same coder with a bit at a time.
-    struct Plain<'a> {
-        sink: &'a mut BitWriter,
-        low: u32,
-        high: u32,
-        pending: u32,
-        zeros: u32,
-    }
+    struct Plain<'a>(Encoder<'a, BitWriter>);
 
     impl Plain<'_> {
-        fn data_bit(&mut self, bit: bool) {
-            if self.zeros == ZERO_RUN {
-                self.sink.bit(true);
-                self.zeros = 0;
-            }
-            self.sink.bit(bit);
-            self.zeros = if bit { 0 } else { self.zeros + 1 };
-        }
-
         fn bit_and_pending(&mut self, bit: bool) {
-            self.data_bit(bit);
-            (0..std::mem::take(&mut self.pending)).for_each(|_| self.data_bit(!bit));
+            self.0.data_bit(bit);
+            (0..std::mem::take(&mut self.0.pending)).for_each(|_| self.0.data_bit(!bit));
         }
 
         fn symbol(&mut self, model: &impl Model, symbol: usize) {
             let (below, above) = model.bounds(symbol);
-            let length = self.high - self.low + 1;
-            self.high = self.low + length * above / model.total() - 1;
-            self.low += length * below / model.total();
+            let length = self.0.high - self.0.low + 1;
+            self.0.high = self.0.low + length * above / model.total() - 1;
+            self.0.low += length * below / model.total();
             loop {
-                let base = if self.high < HALF {
+                let base = if self.0.high < HALF {
                     self.bit_and_pending(false);
                     0
-                } else if self.low >= HALF {
+                } else if self.0.low >= HALF {
                     self.bit_and_pending(true);
                     HALF
-                } else if self.low >= QUARTER && self.high < THREE_QUARTERS {
-                    self.pending += 1;
+                } else if self.0.low >= QUARTER && self.0.high < THREE_QUARTERS {
+                    self.0.pending += 1;
                     QUARTER
                 } else {
                     return;
                 };
-                self.low = (self.low - base) * 2;
-                self.high = (self.high - base) * 2 + 1;
+                self.0.low = (self.0.low - base) * 2;
+                self.0.high = (self.0.high - base) * 2 + 1;
             }
         }
     }
@@ -553,7 +538,7 @@ mod tests {
             let mut sinks = [BitWriter::new(), BitWriter::new()];
             let [quick, plain] = &mut sinks;
             let mut quick = Encoder::new(quick);
-            let mut plain = Plain { sink: plain, low: 0, high: TOP, pending: 0, zeros: 0 };
+            let mut plain = Plain(Encoder::new(plain));
             for (size, index, place) in symbols {
                 // Those in the middle make bits that are pending, the last ones zeros.
                 let symbol = [index.index(size), size / 2, size - 1][usize::from(place)];
@@ -561,7 +546,7 @@ mod tests {
                 plain.symbol(&Flat(size as u32), symbol);
                 prop_assert_eq!(
                     (quick.low, quick.high, quick.pending, quick.zeros),
-                    (plain.low, plain.high, plain.pending, plain.zeros)
+                    (plain.0.low, plain.0.high, plain.0.pending, plain.0.zeros)
                 );
             }
             let [quick, plain] = sinks;

@@ -106,11 +106,11 @@ impl Registration {
         self.solver.objective.evaluations()
     }
 
-    /// Moves `state`, the last one, to where model and evidence agree best: from the predicted state and, in most frames unless
-    /// that leads to where a finder has seen the joints, from the same with fingers in other postures, and from what was found with one
-    /// finger folded more or less; and, in turns while the frame costs no more than the last ones, from the last state, from
-    /// a thumb bent across the palm, from hands whose fingers close together, and from known postures with similar
-    /// silhouettes.
+    /// Moves `state`, the last one, to where model and evidence agree best: from the predicted state and, in most frames
+    /// unless that leads to where a finder has seen the joints, from the same with fingers in other postures, and from what
+    /// was found with one finger folded more or less; and, in turns while the frame costs no more than the last ones, from
+    /// the last state, from a thumb bent across the palm, from hands whose fingers close together, and from known postures
+    /// with similar silhouettes.
     pub fn register(
         &mut self,
         model: &mut HandModel,
@@ -140,8 +140,9 @@ impl Registration {
         }
         self.frame += 1;
         // Where a finder has seen the hand like this, other postures are mostly worse.
-        let every = solver.tuning.landmarks.tried_every.max(1);
-        if !solver.agrees(scene, state) || self.frame.is_multiple_of(every) {
+        let LandmarkTuning { agrees, tried_every, .. } = solver.tuning.landmarks;
+        let agree = solver.joints_away(scene.model, evidence, state).is_some_and(|away| away < agrees);
+        if !agree || self.frame.is_multiple_of(tried_every.max(1)) {
             self.try_others((last, &first), scene, state, &mut best);
         }
         let t = self.solver.tuning.hypotheses;
@@ -246,7 +247,7 @@ impl Registration {
         evidence: &Evidence,
         state: &ModelState,
     ) -> Option<f64> {
-        Some(self.solver.joints_away(model, evidence.joints()?, state))
+        self.solver.joints_away(model, evidence, state)
     }
 
     /// Keeps what the hand of `state` looks like, for [`Registration::follow`].

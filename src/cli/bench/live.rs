@@ -243,9 +243,10 @@ fn demo_poses() -> anyhow::Result<PoseClip> {
 /// The poses as `live` sends them: steadied as they come.
 fn steadied(mut clip: PoseClip) -> PoseClip {
     let mut smoothers = [(); 2].map(|()| PoseSmoother::new(SmoothOptions::live()));
-    for frame in clip.frames.iter_mut().filter(|frame| frame.valid) {
-        let steady = smoothers[frame.pose.side as usize].next(frame.time, Some(&frame.pose));
-        frame.pose = steady.unwrap_or_else(|| frame.pose.clone());
+    for TimedPose { time, pose, valid, .. } in &mut clip.frames {
+        if let Some(steady) = smoothers[pose.side as usize].next(*time, valid.then_some(pose)) {
+            *pose = steady;
+        }
     }
     clip
 }

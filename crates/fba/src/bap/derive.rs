@@ -2,8 +2,8 @@
 //!
 //! No field of the syntax says that a value is to be derived. The rule is: a stream that sends the driver of a
 //! [`Tie`] but not what is driven leaves that to the decoder's model (`spec/NOTES.md`). Our encoder sends what is
-//! driven along with what drives it unless told to leave it out, and then, too, where the tie is not firm. Which BAPs are tied is the model's business: the
-//! functions here take any list of ties.
+//! driven along with what drives it unless told to leave it out, and then, too, where the tie is not firm. Which BAPs are
+//! tied is the model's business: the functions here take any list of ties.
 
 use super::{Bap, BapFrame, BapMask};
 

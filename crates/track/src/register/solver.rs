@@ -96,15 +96,14 @@ impl Solver {
         self.landmarks.learn(model, state, seen);
     }
 
-    /// Mean distance of the joints seen from those of the model, hand lengths.
-    pub(super) fn joints_away(&self, model: &HandModel, seen: &JointPlaces, state: &ModelState) -> f64 {
-        self.landmarks.distance(model, state, seen)
-    }
-
-    /// Whether the joints of `state` are where a finder has seen them.
-    pub(super) fn agrees(&self, scene: &Scene<'_>, state: &ModelState) -> bool {
-        let seen = scene.evidence.joints();
-        seen.is_some_and(|seen| self.joints_away(scene.model, seen, state) < self.tuning.landmarks.agrees)
+    /// Mean distance of the joints seen from those of the model, hand lengths; `None` where none were.
+    pub(super) fn joints_away(
+        &self,
+        model: &HandModel,
+        evidence: &Evidence,
+        state: &ModelState,
+    ) -> Option<f64> {
+        Some(self.landmarks.distance(model, state, evidence.joints()?))
     }
 
     /// Moves `state` in these rounds of all. `first` are the normal equations of the first of them, if known.
