@@ -1,7 +1,7 @@
 //! The way from a clip to poses: frames, silhouettes, open-hand fits, registration, in bounded memory.
 //!
 //! Frames are pushed into a [`Tracker`], or [`track_clip`] reads them from a source. The frames before a hand first
-//! opens are kept (silhouettes packed, pictures as JPEG, or whole while only palm or back is open) until the fit is made
+//! opens are kept (silhouettes packed, the latest pictures whole, older ones as JPEG) until the fit is made
 //! and are then tracked backwards from it.
 //!
 //! Up to two hands are tracked, each by its own [`HandTracker`](crate::HandTracker). Every part of a picture

@@ -17,14 +17,15 @@ use handcast_hand::Side;
 use handcast_vision::sighting::Sighting;
 use handcast_vision::{Mask, PartsError, Segmenter, Silhouette, VisionError, Wrist, find_parts};
 
-/// JPEG quality of pictures that are kept.
+/// How many of the latest pictures are kept whole: hands mostly begin before there are more. At 640 by 360 that is 177 MB.
+const WHOLE: usize = 256;
+/// JPEG quality of those that have waited for longer.
 const QUALITY: u8 = 88;
 
 /// A picture that is kept.
 enum Kept {
-    Jpeg(Vec<u8>),
-    /// Of a frame that would have been tracked as it came, so that waiting does not change its poses.
     Whole(Box<RgbImage>),
+    Jpeg(Vec<u8>),
 }
 
 /// A frame that waits for the fit.
@@ -42,25 +43,23 @@ pub(super) struct Waiting {
 }
 
 impl Waiting {
-    fn new(
-        segmented: Segmented,
-        links: Vec<Link>,
-        known: Vec<Known>,
-        whole: bool,
-    ) -> Result<Self, ClipError> {
+    fn new(segmented: Segmented, links: Vec<Link>, known: Vec<Known>) -> Self {
         let Segmented { frame, parts, sightings, spent, .. } = segmented;
         let sightings = sightings.unwrap_or_default();
         let (index, time) = (frame.index, frame.time);
-        let picture = if whole {
-            Kept::Whole(Box::new(frame.image))
-        } else {
-            let mut jpeg = Vec::new();
-            image::codecs::jpeg::JpegEncoder::new_with_quality(&mut jpeg, QUALITY)
-                .encode_image(&frame.image)
-                .map_err(|error| ClipError::Keep { index, what: error.to_string() })?;
-            Kept::Jpeg(jpeg)
-        };
-        Ok(Self { index, time, picture, parts, links, sightings, known, segment: spent })
+        let picture = Kept::Whole(Box::new(frame.image));
+        Self { index, time, picture, parts, links, sightings, known, segment: spent }
+    }
+
+    /// Keeps the picture in less memory.
+    fn compress(&mut self) -> Result<(), ClipError> {
+        let Kept::Whole(image) = &self.picture else { return Ok(()) };
+        let mut jpeg = Vec::new();
+        image::codecs::jpeg::JpegEncoder::new_with_quality(&mut jpeg, QUALITY)
+            .encode_image(image.as_ref())
+            .map_err(|error| ClipError::Keep { index: self.index, what: error.to_string() })?;
+        self.picture = Kept::Jpeg(jpeg);
+        Ok(())
     }
 
     /// Forgets the parts on these trails, which are no hands.
@@ -314,9 +313,9 @@ impl Lookout {
         if let Err(error) = &segmented.parts {
             self.last_error = Some(error.clone());
         }
-        let whole = self.contest.is_some();
-        self.waiting.push(Waiting::new(segmented, links, known, whole)?);
-        Ok(())
+        self.waiting.push(Waiting::new(segmented, links, known));
+        let older = self.waiting.len().checked_sub(WHOLE + 1);
+        older.and_then(|i| self.waiting.get_mut(i)).map_or(Ok(()), Waiting::compress)
     }
 
     /// Looks for open hands; while it is found out which hand it is, for one whose fingers are straighter.
