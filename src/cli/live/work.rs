@@ -24,6 +24,29 @@ pub struct Spent {
     pub encoded: Duration,
 }
 
+/// Age from which on the poses that a hand begins with are passed over, and how many are: to find out which hand it is takes as
+/// long as the room would then see the first of them stand still.
+const STALE: Duration = Duration::from_millis(250);
+const PASSED: u32 = 3;
+
+/// How hands begin.
+#[derive(Clone, Copy, Debug, Default)]
+struct Beginning {
+    /// Poses passed over, and whether one was not.
+    passed: u32,
+    over: bool,
+}
+
+impl Beginning {
+    /// Whether poses of a picture of this age are passed over.
+    fn passes(&mut self, age: Duration) -> bool {
+        let stale = !self.over && self.passed < PASSED && age > STALE;
+        self.passed += u32::from(stale);
+        self.over |= !stale;
+        stale
+    }
+}
+
 /// What became of a stream's end.
 pub struct Finished {
     pub recorded: anyhow::Result<()>,
@@ -34,6 +57,7 @@ pub struct Finished {
 pub struct Worker {
     options: ClipOptions,
     tracker: Tracker,
+    beginning: Beginning,
     sender: PoseSender,
     together: usize,
     /// Planes that wait for another.
@@ -59,6 +83,7 @@ impl Worker {
         Self {
             tracker: Tracker::new(options.clone()),
             options,
+            beginning: Beginning::default(),
             sender,
             together,
             waiting: Vec::new(),
@@ -90,8 +115,11 @@ impl Worker {
                 Vec::new()
             }
         };
-        let poses = newest(&poses);
         let tracked = Instant::now();
+        let mut poses = newest(&poses);
+        if !poses.is_empty() && self.beginning.passes(tracked - captured.at) {
+            poses = &[];
+        }
         self.spent.tracked += tracked - begun;
         if poses.iter().any(|pose| pose.valid) {
             self.spent.seen += 1;
@@ -116,6 +144,7 @@ impl Worker {
     fn restart(&mut self, error: &ClipError) {
         self.trouble = Some(error.to_string());
         self.tracker = Tracker::new(self.options.clone());
+        self.beginning = Beginning::default();
     }
 
     fn publish(&mut self, planes: Vec<Plane>, publisher: &mut impl Publish) -> anyhow::Result<()> {
@@ -248,6 +277,16 @@ mod tests {
 
     fn recording(folder: &Path) -> Option<Recording> {
         Some(Recording::create(Place::File(folder.join("hand.fba"))).unwrap())
+    }
+
+    #[test]
+    fn hands_begin_with_the_newest_of_their_poses_unless_all_are_late() {
+        let [late, prompt] = [900, 40].map(Duration::from_millis);
+        let mut beginning = Beginning::default();
+        assert_eq!([late, late, prompt, late].map(|age| beginning.passes(age)), [true, true, false, false]);
+        let mut beginning = Beginning::default();
+        let passed = [late; 5].map(|age| beginning.passes(age));
+        assert_eq!(passed, [true, true, true, false, false]);
     }
 
     #[test]
