@@ -1,8 +1,8 @@
 //! Going on where a run that was ended has stopped: its journal, and the frames that are still to be tracked.
 
 use std::path::Path;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, OnceLock};
 
 use anyhow::{Context, bail};
 use handcast_formats::atomic::AtomicFile;
@@ -162,9 +162,13 @@ impl Resumed {
     }
 }
 
-/// The time of the newest frame that a clip has given, seconds.
+/// What is told of a clip while it is read: the time of the newest frame, seconds, and at its end what of it could not be
+/// shown.
 #[derive(Clone, Default)]
-pub struct Newest(Arc<AtomicU64>);
+pub struct Newest {
+    time: Arc<AtomicU64>,
+    shortfall: Arc<OnceLock<String>>,
+}
 
 impl Newest {
     /// The clip, whose frames set the time.
@@ -174,7 +178,12 @@ impl Newest {
 
     /// Seconds; 0 before the first frame.
     pub fn time(&self) -> f64 {
-        f64::from_bits(self.0.load(Ordering::Relaxed))
+        f64::from_bits(self.time.load(Ordering::Relaxed))
+    }
+
+    /// What of the clip could not be shown, where it has been read to its end.
+    pub fn shortfall(&self) -> Option<&str> {
+        self.shortfall.get().map(String::as_str)
     }
 }
 
@@ -195,8 +204,12 @@ impl FrameSource for Watched {
 
     fn next_frame(&mut self) -> Result<Option<Frame>, FrameError> {
         let frame = self.source.next_frame()?;
-        if let Some(frame) = &frame {
-            self.newest.0.store(frame.time.to_bits(), Ordering::Relaxed);
+        match &frame {
+            Some(frame) => self.newest.time.store(frame.time.to_bits(), Ordering::Relaxed),
+            None => {
+                let shortfall = self.source.shortfall();
+                shortfall.into_iter().for_each(|told| drop(self.newest.shortfall.set(told)));
+            }
         }
         Ok(frame)
     }

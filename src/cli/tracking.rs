@@ -22,7 +22,7 @@ use handcast_vision::VisionError;
 use handcast_vision::sighting::{ReadySightings, Region, Sighting};
 use indicatif::{ProgressBar, ProgressStyle};
 
-use super::common::{FaceOrAuto, HandOrAuto, field_of_view, hand_length, progress};
+use super::common::{FaceOrAuto, HandOrAuto, field_of_view, hand_length, progress, tell_shortfall};
 use super::given;
 use super::length;
 use super::message;
@@ -124,8 +124,8 @@ enum StartArg {
 pub struct Refused(String);
 
 /// The error, of the clip called `name`, with how to get round it, where there is a way; `by_colours` says that nothing but
-/// colours and motion told where the hand is.
-fn advised(error: ClipError, name: &Path, by_colours: bool) -> anyhow::Error {
+/// colours and motion told where the hand is, `shortfall` what of the clip could not be shown.
+fn advised(error: ClipError, name: &Path, by_colours: bool, shortfall: Option<&str>) -> anyhow::Error {
     use ClipError::{BadFit, Empty, Frames, Learn, NeverOpen, NoHand, Option, Person, Sink};
     if !matches!(
         error,
@@ -146,7 +146,8 @@ fn advised(error: ClipError, name: &Path, by_colours: bool) -> anyhow::Error {
     if by_colours && (never_open || misled) {
         advice += "; networks, of which `handcast net` tells, find hands by more than colours";
     }
-    Refused(format!("{}: {error}{advice}", name.display())).into()
+    let shortfall = shortfall.map_or_else(String::new, |told| format!(" ({told})"));
+    Refused(format!("{}: {error}{shortfall}{advice}", name.display())).into()
 }
 
 /// What is said of smoothing poses as they come.
@@ -285,19 +286,16 @@ impl TrackArgs {
         let by_colours = options.finder.is_none() && masks.is_none();
         let of_masks = masks.as_ref().and_then(|masks| masks.info().frames);
         let mut sink = Sink::new(self, path, overlay, poses, rate, source.as_ref());
+        let newest = Newest::default();
         if let Some((lines, header)) = &mut sink.lines {
             header.hands = resumed.map(|(resumed, _)| resumed.hands()).unwrap_or_default();
             if !lines.flow() {
-                let newest = Newest::default();
-                source = newest.watch(source);
-                sink.journal = Some((work, newest));
+                sink.journal = Some((work, newest.clone()));
             }
         }
-        let end = track_frames(source, masks, &options, &mut sink);
-        let end = end.map_err(|error| advised(error, path, by_colours))?;
-        if let Some(shortfall) = &end.shortfall {
-            errln!("handcast: {}: {shortfall}", path.display());
-        }
+        let end = track_frames(newest.watch(source), masks, &options, &mut sink);
+        let end = end.map_err(|error| advised(error, path, by_colours, newest.shortfall()))?;
+        tell_shortfall(path, end.shortfall.as_deref());
         if end.further > 0 {
             let s = if end.further > 1 { "s" } else { "" };
             errln!(

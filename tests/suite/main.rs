@@ -9,6 +9,7 @@ mod blender;
 mod cli;
 mod conformance;
 mod corpus;
+mod damaged;
 mod doors;
 mod examples;
 mod exports;

@@ -25,6 +25,23 @@ pub(super) fn open(
     open_input(&["-i".as_ref(), input.as_os_str()], name, codec, FIELDS, options)
 }
 
+/// The containers that are looked for in what begins like nothing that is known: those whose files name no other file.
+const SELF_CONTAINED: &str = "mov,matroska,avi,mpeg,mpegvideo,mpegts,m4v,h264,hevc,vvc,av1,obu,ivf,flv,live_flv,asf,ogg,nut,\
+    mxf,dv,gxf,rm,wtv,roq,bink,swf,nuv,yuv4mpegpipe,mjpeg,gif,apng,jpeg_pipe,png_pipe,webp_pipe,tiff_pipe,psd_pipe,exr_pipe,\
+    jpegxl_pipe,jpegxl_anim,j2k_pipe,qoi_pipe,dds_pipe,sunrast_pipe,sgi_pipe,pcx_pipe";
+
+/// Opens `path` with the helper program, which may know better what it is; it is let follow no names in it.
+pub(super) fn open_unknown(
+    path: &Path,
+    name: &str,
+    options: &OpenOptions,
+) -> Result<Box<dyn FrameSource>, FrameError> {
+    let mut input = std::ffi::OsString::from("file:");
+    input.push(path);
+    let input = ["-format_whitelist".as_ref(), SELF_CONTAINED.as_ref(), "-i".as_ref(), input.as_os_str()];
+    open_input(&input, name, "unknown container", FIELDS, options)
+}
+
 /// What the helper program may ask for what is at an address of the web, and of a stream: never a file of this machine, which
 /// a playlist could name.
 const WEB_PROTOCOLS: &str = "http,https,httpproxy,tcp,tls,crypto,data";

@@ -19,6 +19,9 @@ pub(super) struct FolderSource {
     shrinker: Shrinker,
     limits: Limits,
     index: usize,
+    /// How many pictures could not be read, and what is wrong with the first of them.
+    lost: usize,
+    damage: Option<FrameError>,
 }
 
 impl FolderSource {
@@ -70,8 +73,8 @@ impl FolderSource {
             return Err(FrameError::Malformed { path: name.to_owned(), what });
         }
         files.sort_by(|a, b| natural(&a.to_string_lossy(), &b.to_string_lossy()));
-        let first = files.first().map_or_else(PathBuf::new, Clone::clone);
-        let (width, height) = animation::dimensions(&first, &options.limits)?;
+        let sizes = files.iter().map(|file| animation::dimensions(file, &options.limits));
+        let (width, height) = first_good(sizes).unwrap_or(Ok((0, 0)))?;
         let (width, height) = check_size(name, u64::from(width), u64::from(height), &options.limits)?;
         let info = ClipInfo {
             width,
@@ -79,8 +82,8 @@ impl FolderSource {
             rate: Some(options.rate),
             frames: Some(files.len()),
             format: format!("{kind} of {} pictures", files.len()),
-            start: 0.0,
             notes: missing(&files).into_iter().collect(),
+            ..ClipInfo::default()
         };
         Ok(Self {
             files,
@@ -89,6 +92,8 @@ impl FolderSource {
             shrinker: Shrinker::new(options.max_side),
             limits: options.limits.clone(),
             index: 0,
+            lost: 0,
+            damage: None,
         })
     }
 }
@@ -103,30 +108,58 @@ impl FrameSource for FolderSource {
     }
 
     fn next_frame(&mut self) -> Result<Option<Frame>, FrameError> {
-        let Some(path) = self.files.get(self.index) else { return Ok(None) };
-        let index = self.index;
-        self.index += 1;
-        let read = animation::read_picture(path, &self.limits).and_then(|image| {
-            if image.dimensions() == (self.info.width, self.info.height) {
-                return Ok(image);
-            }
-            Err(FrameError::OtherSize {
-                path: path.display().to_string(),
-                size: image.dimensions(),
-                first: (self.info.width, self.info.height),
-            })
-        });
-        match read {
-            Ok(image) => {
-                let image = self.shrinker.rgb(image);
-                Ok(Some(Frame { index, time: index as f64 / self.rate, image }))
-            }
-            Err(error) => {
-                self.index = self.files.len();
-                Err(error)
+        while let Some(path) = self.files.get(self.index) {
+            let index = self.index;
+            self.index += 1;
+            let first = (self.info.width, self.info.height);
+            match animation::read_picture(path, &self.limits) {
+                Ok(image) if image.dimensions() == first => {
+                    let image = self.shrinker.rgb(image);
+                    return Ok(Some(Frame { index, time: index as f64 / self.rate, image }));
+                }
+                Ok(image) => {
+                    let (path, size) = (path.display().to_string(), image.dimensions());
+                    return Err(FrameError::OtherSize { path, size, first });
+                }
+                Err(error) if is_damage(&error) => {
+                    self.lost += 1;
+                    self.damage.get_or_insert(error);
+                }
+                Err(error) => return Err(error),
             }
         }
+        // Where there was none at all what is wrong with the first is.
+        match self.damage.take_if(|_| self.lost == self.files.len()) {
+            Some(error) => Err(error),
+            None => Ok(None),
+        }
     }
+
+    fn shortfall(&self) -> Option<String> {
+        let more = if self.lost > 1 { format!(" (and {} more)", self.lost - 1) } else { String::new() };
+        self.damage.as_ref().map(|error| format!("{error}{more}"))
+    }
+}
+
+/// Whether it is the picture that is wrong.
+fn is_damage(error: &FrameError) -> bool {
+    error.damage().is_some() || matches!(error, FrameError::NotAVideo { .. })
+}
+
+/// The first size of a picture that is not damaged, or the first error.
+fn first_good(
+    sizes: impl Iterator<Item = Result<(u32, u32), FrameError>>,
+) -> Option<Result<(u32, u32), FrameError>> {
+    let mut wrong = None;
+    for size in sizes {
+        match size {
+            Err(error) if is_damage(&error) => {
+                wrong.get_or_insert(Err(error));
+            }
+            size => return Some(size),
+        }
+    }
+    wrong
 }
 
 /// What is to be said of files numbered in even steps of which some are missing.

@@ -45,7 +45,7 @@ pub const MAX_PIXELS: u64 = handcast_limits::DEFAULT.pixels;
 /// One picture of a clip.
 #[derive(Clone, Debug)]
 pub struct Frame {
-    /// Position in the clip, from 0, in presentation order.
+    /// Position in the clip, from 0, in presentation order; pictures that could not be decoded are counted as well.
     pub index: usize,
     /// Presentation time in seconds from the first frame.
     pub time: f64,
@@ -63,8 +63,10 @@ pub struct ClipInfo {
     /// Frames per second, of a clip that dropped frames those of its camera, the mean if they vary without a beat; `None` for a
     /// still picture or when unknown.
     pub rate: Option<f64>,
-    /// Number of frames that are shown, when the input says so in advance.
+    /// Number of frames that are there to be shown, where it is known in advance: by tables or an index, or a list of files.
     pub frames: Option<usize>,
+    /// Number of frames that the input says it has, where these are more: its end is missing.
+    pub told: Option<usize>,
     /// What the input is, for people: `mp4 h264`, `gif`, `folder of 12 pictures`…
     pub format: String,
     /// Seconds of the file at which its first picture is shown, from which the times of its frames count; 0 where it tells none.
@@ -102,10 +104,12 @@ pub trait FrameSource: Send {
     /// The next picture, `None` after the last.
     ///
     /// # Errors
-    /// The input is damaged or uses what is not supported; after an error the source is at its end.
+    /// The input is damaged or uses what is not supported; after an error the source is at its end. Where [`open`] gave it,
+    /// damage behind the first picture is passed over, or ends it as the [`shortfall`](Self::shortfall) then tells.
     fn next_frame(&mut self) -> Result<Option<Frame>, FrameError>;
 
-    /// After the last picture: what of the clip could not be shown, in words, where damage is passed over.
+    /// After the last picture: what of the clip could not be shown, in words: which damage was passed over or ended it, and
+    /// how many of how many pictures there were.
     fn shortfall(&self) -> Option<String> {
         None
     }
@@ -287,6 +291,20 @@ pub enum FrameError {
     },
 }
 
+impl FrameError {
+    /// What is wrong without the input's name, where it is the input that is: it ends too early, is damaged, or uses what no
+    /// decoder here knows.
+    fn damage(&self) -> Option<String> {
+        match self {
+            Self::Truncated { what, .. } => Some(format!("truncated: {what}")),
+            Self::Malformed { what, .. } => Some(format!("damaged: {what}")),
+            Self::UnsupportedCodec { codec, hint, .. } => Some(format!("{codec} is not decoded here{hint}")),
+            Self::Helper { program, message, .. } => Some(format!("{program} failed: {message}")),
+            _ => None,
+        }
+    }
+}
+
 /// Opens a clip, a picture, a folder, a pattern (`shots/*.png`), what is at an address (`https://…`, `rtsp://…`: see
 /// [`Address`]) through the helper program, or, for `-`, Y4M on standard input.
 ///
@@ -295,15 +313,24 @@ pub enum FrameError {
 /// decoded here so that an undecodable file fails at once.
 pub fn open(input: impl AsRef<Path>, options: &OpenOptions) -> Result<Box<dyn FrameSource>, FrameError> {
     check_options(options)?;
-    Ok(Box::new(Ending { source: open_by_content(input.as_ref(), options)?, shown: 0, ended: false }))
+    let input = input.as_ref();
+    let source = open_by_content(input, options)?;
+    // A stream of the network has no end that could be missing: that it stops is an error.
+    let passes = !matches!(Address::of(input), Ok(Some(Address::Stream)));
+    Ok(Box::new(Ending { source, passes, shown: 0, last: 0.0, ended: false, damage: None }))
 }
 
-/// A source that has nothing more once it had no picture or an error.
+/// A source that has nothing more once it had no picture or an error, and that damage behind the first picture ends.
 struct Ending {
     source: Box<dyn FrameSource>,
-    /// Pictures so far.
+    /// Whether damage ends it well.
+    passes: bool,
+    /// Pictures so far, and the time of the last of them.
     shown: usize,
+    last: f64,
     ended: bool,
+    /// What ended it.
+    damage: Option<String>,
 }
 
 impl FrameSource for Ending {
@@ -319,17 +346,65 @@ impl FrameSource for Ending {
         if self.ended {
             return Ok(None);
         }
-        let frame = self.source.next_frame();
-        self.ended = !matches!(frame, Ok(Some(_)));
-        self.shown += usize::from(!self.ended);
-        frame
+        match self.source.next_frame() {
+            Ok(Some(frame)) => {
+                self.shown += 1;
+                self.last = frame.time;
+                return Ok(Some(frame));
+            }
+            Ok(None) => {}
+            Err(error) => match error.damage().filter(|_| self.passes && self.shown > 0) {
+                Some(damage) => self.damage = Some(damage),
+                None => {
+                    self.ended = true;
+                    return Err(error);
+                }
+            },
+        }
+        self.ended = true;
+        Ok(None)
     }
 
     fn shortfall(&self) -> Option<String> {
-        let told = self.source.info().frames.filter(|told| self.ended && self.shown < *told);
-        let counted =
-            told.map(|told| format!("of the {told} pictures that it tells of {} are there", self.shown));
-        self.source.shortfall().or(counted)
+        let info = self.source.info();
+        let told = info.told.or(info.frames).filter(|told| self.ended && self.shown < *told);
+        let wrong: Vec<String> = self.source.shortfall().into_iter().chain(self.damage.clone()).collect();
+        let count = match told {
+            Some(told) => format!("of the {told} pictures that it tells of {} are there", self.shown),
+            None if wrong.is_empty() => return None,
+            None => format!("{} pictures are there, the last at {:.3} s", self.shown, self.last),
+        };
+        Some(wrong.into_iter().chain([count]).collect::<Vec<_>>().join("; "))
+    }
+}
+
+/// A source that took the place of another one.
+struct Instead {
+    source: Box<dyn FrameSource>,
+    why: String,
+}
+
+impl FrameSource for Instead {
+    fn info(&self) -> &ClipInfo {
+        self.source.info()
+    }
+
+    fn set_max_side(&mut self, side: u32) {
+        self.source.set_max_side(side);
+    }
+
+    fn next_frame(&mut self) -> Result<Option<Frame>, FrameError> {
+        self.source.next_frame()
+    }
+
+    fn shortfall(&self) -> Option<String> {
+        Some(
+            [Some(self.why.clone()), self.source.shortfall()]
+                .into_iter()
+                .flatten()
+                .collect::<Vec<_>>()
+                .join("; "),
+        )
     }
 }
 
@@ -392,10 +467,10 @@ fn open_by_content(path: &Path, options: &OpenOptions) -> Result<Box<dyn FrameSo
         Content::IsoMedia => open_iso(path, &name, options),
         Content::Other(container) => ffmpeg::open(path, &name, container, options),
         Content::Text => Err(FrameError::NotAVideo { path: name, what: "it is text".to_owned() }),
-        Content::Unknown => {
+        Content::Unknown => ffmpeg::open_unknown(path, &name, options).map_err(|_| {
             let bytes: Vec<String> = head.iter().take(8).map(|b| format!("{b:02x}")).collect();
-            Err(FrameError::NotAVideo { path: name, what: format!("it begins with {}", bytes.join(" ")) })
-        }
+            FrameError::NotAVideo { path: name.clone(), what: format!("it begins with {}", bytes.join(" ")) }
+        }),
     }
 }
 
@@ -408,7 +483,13 @@ fn open_iso(path: &Path, name: &str, options: &OpenOptions) -> Result<Box<dyn Fr
     }
     match mp4::Mp4Source::open(path, name, options) {
         Err(FrameError::UnsupportedCodec { codec, .. }) => ffmpeg::open(path, name, &codec, options),
-        other => Ok(Box::new(other?)),
+        Err(error) => match (error.damage(), ffmpeg::open(path, name, "mp4", options)) {
+            (Some(damage), Ok(source)) => {
+                Ok(Box::new(Instead { source, why: format!("{damage}; it was read through ffmpeg") }))
+            }
+            _ => Err(error),
+        },
+        Ok(source) => Ok(Box::new(source)),
     }
 }
 
