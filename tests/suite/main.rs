@@ -33,6 +33,7 @@ mod live_rooms;
 mod methods;
 mod names;
 mod net;
+mod parts;
 mod pipes;
 mod push;
 mod reports;

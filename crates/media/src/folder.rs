@@ -62,6 +62,30 @@ impl FolderSource {
         Self::from_files(files, pattern, "pattern", options)
     }
 
+    /// All numbered pictures that a pattern in ffmpeg's style names: `shot%03d.png`, with any first number.
+    pub(super) fn from_numbered(pattern: &Path, options: &OpenOptions) -> Result<Self, FrameError> {
+        let name = pattern.display().to_string();
+        let missing = || FrameError::NotFound { path: name.clone() };
+        let file = pattern.file_name().and_then(|file| file.to_str()).ok_or_else(missing)?;
+        let numbered = Numbered::of(file).ok_or_else(missing)?;
+        let folder = pattern.parent().filter(|folder| !folder.as_os_str().is_empty());
+        let entries = std::fs::read_dir(folder.unwrap_or(Path::new("."))).map_err(|_| missing())?;
+        let mut files = Vec::new();
+        for entry in entries {
+            let entry = entry.map_err(|source| FrameError::Io { path: name.clone(), source })?;
+            let fits = entry.file_name().to_str().is_some_and(|file| numbered.fits(file));
+            let path =
+                folder.map_or_else(|| entry.file_name().into(), |folder| folder.join(entry.file_name()));
+            if fits && path.is_file() {
+                files.push(path);
+            }
+        }
+        if files.is_empty() {
+            return Err(missing());
+        }
+        Self::from_files(files, &name, "pattern", options)
+    }
+
     fn from_files(
         mut files: Vec<PathBuf>,
         name: &str,
@@ -107,6 +131,15 @@ impl FrameSource for FolderSource {
         self.shrinker.limit(side);
     }
 
+    fn times(&self) -> Option<Vec<f64>> {
+        Some((0..self.files.len()).map(|index| index as f64 / self.rate).collect())
+    }
+
+    fn skip_to(&mut self, seconds: f64) -> Result<(), FrameError> {
+        self.index = ((seconds * self.rate) as usize).saturating_sub(1).min(self.files.len());
+        Ok(())
+    }
+
     fn next_frame(&mut self) -> Result<Option<Frame>, FrameError> {
         while let Some(path) = self.files.get(self.index) {
             let index = self.index;
@@ -138,6 +171,49 @@ impl FrameSource for FolderSource {
     fn shortfall(&self) -> Option<String> {
         let more = if self.lost > 1 { format!(" (and {} more)", self.lost - 1) } else { String::new() };
         self.damage.as_ref().map(|error| format!("{error}{more}"))
+    }
+}
+
+/// The parts of a name with a number: `%d`, or `%03d` of three digits or more. `%%` stands for a percent sign.
+struct Numbered {
+    before: String,
+    digits: usize,
+    after: String,
+}
+
+impl Numbered {
+    /// `None` where the pattern has no number, or several.
+    fn of(pattern: &str) -> Option<Self> {
+        let (mut found, mut text, mut rest) = (None, String::new(), pattern);
+        while let Some((plain, behind)) = rest.split_once('%') {
+            text.push_str(plain);
+            rest = match behind.strip_prefix('%') {
+                Some(behind) => {
+                    text.push('%');
+                    behind
+                }
+                None => {
+                    let (digits, behind) = behind.split_once('d')?;
+                    let digits =
+                        if digits.is_empty() { 1 } else { digits.strip_prefix('0')?.parse().ok()? };
+                    if found.replace((std::mem::take(&mut text), digits)).is_some() {
+                        return None;
+                    }
+                    behind
+                }
+            };
+        }
+        let (before, digits) = found?;
+        Some(Self { before, digits, after: text + rest })
+    }
+
+    fn fits(&self, name: &str) -> bool {
+        let number = name.strip_prefix(&self.before).and_then(|rest| rest.strip_suffix(&self.after));
+        number.is_some_and(|number| {
+            let is_filled =
+                number.len() == self.digits || number.len() > self.digits && !number.starts_with('0');
+            is_filled && number.bytes().all(|byte| byte.is_ascii_digit())
+        })
     }
 }
 
@@ -246,6 +322,26 @@ mod tests {
         let error = open("p0.png/*.png").err().unwrap();
         assert!(matches!(error, FrameError::NotFound { .. }), "{error:?}");
         std::fs::remove_dir_all(&folder).unwrap();
+    }
+
+    #[test]
+    fn numbers_are_written_as_patterns_say() {
+        let fits = |pattern: &str, name: &str| Numbered::of(pattern).unwrap().fits(name);
+        assert!(fits("a%03d.png", "a007.png") && fits("a%03d.png", "a1234.png"));
+        assert!(fits("%d.png", "12.png") && fits("%d.png", "0.png") && fits("100%%-%02d.png", "100%-07.png"));
+        for (pattern, name) in [
+            ("a%03d.png", "a7.png"),
+            ("a%03d.png", "a0007.png"),
+            ("a%d.png", "a07.png"),
+            ("a%d.png", "a.png"),
+            ("a%d.png", "a-1.png"),
+            ("a%d.png", "b1.png"),
+        ] {
+            assert!(!fits(pattern, name), "{pattern} {name}");
+        }
+        for pattern in ["a.png", "a%s.png", "a%3d.png", "%d-%d.png", "a%"] {
+            assert!(Numbered::of(pattern).is_none(), "{pattern}");
+        }
     }
 
     #[test]

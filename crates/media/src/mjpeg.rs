@@ -281,6 +281,17 @@ impl FrameSource for MjpegSource {
         self.shrinker.limit(side);
     }
 
+    fn times(&self) -> Option<Vec<f64>> {
+        Some(self.chunks.iter().map(|chunk| chunk.tick as f64 * self.period).collect())
+    }
+
+    fn skip_to(&mut self, seconds: f64) -> Result<(), FrameError> {
+        // With one to spare for times that are rounded.
+        let at = self.chunks.partition_point(|chunk| chunk.tick as f64 * self.period < seconds);
+        self.index = at.saturating_sub(1);
+        Ok(())
+    }
+
     fn next_frame(&mut self) -> Result<Option<Frame>, FrameError> {
         while let Some(&chunk) = self.chunks.get(self.index) {
             let index = self.index;

@@ -153,7 +153,7 @@ impl Mp4Source {
                 format: "mp4 h264".to_owned(),
                 start: movie.start,
                 told: movie.told,
-                notes: Vec::new(),
+                ..ClipInfo::default()
             },
             samples,
             next_sample: 0,
@@ -319,6 +319,30 @@ impl Mp4Source {
         Ok(())
     }
 
+    /// Whether decoding can begin with a sample: its first slice is one of an IDR picture (ISO/IEC 14496-10, table 7-1).
+    fn stands_alone(&mut self, number: usize) -> bool {
+        const SLICE: u8 = 1;
+        const SLICE_OF_IDR: u8 = 5;
+        let Some(sample) = self.samples.get(number).copied() else { return false };
+        let mut at = 0usize;
+        while at + self.length_size < sample.size {
+            let mut head = vec![0; self.length_size + 1];
+            let place = SeekFrom::Start(sample.offset + at as u64);
+            if self.file.seek(place).and_then(|_| self.file.read_exact(&mut head)).is_err() {
+                return false;
+            }
+            let Some((&kind, size)) = head.split_last() else { return false };
+            match kind & 31 {
+                SLICE_OF_IDR => return true,
+                SLICE..SLICE_OF_IDR => return false,
+                _ => {}
+            }
+            let size = size.iter().fold(0usize, |sum, &b| sum << 8 | usize::from(b));
+            at = at.saturating_add(self.length_size).saturating_add(size);
+        }
+        false
+    }
+
     /// Width and height of a decoded picture, before any turn.
     fn size_of(&self, decoded: &Decoded) -> Result<(u32, u32), FrameError> {
         check_size(
@@ -367,6 +391,35 @@ impl FrameSource for Mp4Source {
 
     fn set_max_side(&mut self, side: u32) {
         self.max_side = Some(self.max_side.map_or(side, |own| own.min(side)));
+    }
+
+    fn times(&self) -> Option<Vec<f64>> {
+        Some(self.times.clone())
+    }
+
+    fn skip_to(&mut self, seconds: f64) -> Result<(), FrameError> {
+        if let Some(helper) = &mut self.helper {
+            helper.skip_to(seconds)?;
+            self.next_rank = self.times.partition_point(|time| *time < seconds).saturating_sub(1);
+            return Ok(());
+        }
+        let wanted = |sample: &Sample| sample.rank.is_some() && sample.time >= seconds - 1e-3;
+        let Some(mut begin) = self.samples.iter().position(wanted) else { return Ok(()) };
+        while begin >= self.next_sample && !self.stands_alone(begin) {
+            begin -= 1;
+        }
+        // What has been decoded already leads there.
+        if begin < self.next_sample {
+            return Ok(());
+        }
+        let Some(rank) = self.samples.get(begin..).unwrap_or_default().iter().filter_map(|s| s.rank).min()
+        else {
+            return Ok(());
+        };
+        (self.next_sample, self.next_rank) = (begin, rank);
+        (self.decoder, self.is_fresh, self.first) = (Decoder::new(), true, None);
+        self.lost.clear();
+        Ok(())
     }
 
     fn next_frame(&mut self) -> Result<Option<Frame>, FrameError> {
