@@ -132,6 +132,9 @@ struct Again {
     options: OpenOptions,
 }
 
+/// What the program begins in anywhere, not with a picture that stands alone: those up to the next one would be missing.
+const WITHOUT_INDEX: [&str; 6] =
+    ["MPEG transport stream", "MPEG program stream", "raw H.264", "unknown container", "web", STREAM];
 /// Seconds that are decoded rather than that the program is started again.
 const NEAR: f64 = 2.0;
 /// Seconds before the first picture that is wanted at which the program begins.
@@ -377,9 +380,8 @@ impl FrameSource for FfmpegSource {
     }
 
     fn skip_to(&mut self, seconds: f64) -> Result<(), FrameError> {
-        // A stream is what it is now.
-        let is_stored = self.again.codec != STREAM;
-        let (Some(first), true) = (self.times.first, is_stored && seconds > NEAR) else { return Ok(()) };
+        let has_index = !WITHOUT_INDEX.contains(&self.again.codec.as_str());
+        let (Some(first), true) = (self.times.first, has_index && seconds > NEAR) else { return Ok(()) };
         // As it is told to the program.
         let from = (1e3 * (first + seconds - AHEAD).max(0.0)).floor() / 1e3;
         let mut input: Vec<OsString> = vec!["-ss".into(), format!("{from:.3}").into()];
