@@ -277,12 +277,12 @@ fn masks_are_counted() {
     for number in [11, 12] {
         std::fs::remove_file(mask(number)).unwrap();
     }
-    // How many frames a folder has is sure; an AVI file may leave out some of those that it tells.
+    // Of AVI files the pictures are counted, whatever their headers tell.
     let told = "m: 11 masks for the 12 frames of";
-    for (clip, words) in [("x.avi", "x.avi: mask "), ("shots", "")] {
+    for clip in ["x.avi", "shots"] {
         let (code, said) = run(&format!("track {clip} --mask m -o y.jsonl -q"));
         assert_eq!(code, Some(1));
-        assert!(said.contains(&format!("{told} {clip}")) && said.contains(words), "{said}");
+        assert!(said.contains(&format!("{told} {clip}")) && said.lines().count() == 1, "{said}");
     }
 }
 
