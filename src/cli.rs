@@ -32,6 +32,7 @@ mod manual;
 mod motion;
 mod net;
 mod overlay;
+mod part;
 mod pose;
 mod poses_out;
 mod receivers;

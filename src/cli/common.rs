@@ -147,6 +147,13 @@ impl From<ProfileArg> for Profile {
     }
 }
 
+/// Says what of a clip could not be shown, where there is something.
+pub fn tell_shortfall(path: &Path, shortfall: Option<&str>) {
+    if let Some(told) = shortfall {
+        errln!("handcast: {}: {told}", path.display());
+    }
+}
+
 /// What a stream does not tell of itself, and what to do with a damaged one.
 #[derive(Debug, clap::Args)]
 #[command(next_help_heading = "Streams")]

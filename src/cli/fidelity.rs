@@ -12,7 +12,9 @@ use handcast_formats::motion::{Format, Motion};
 use handcast_formats::mp4;
 use handcast_hand::PoseClip;
 
-use super::common::{RateArgs, Scratch, busy, check_span, ending, limits, read_input, write_output};
+use super::common::{
+    RateArgs, Scratch, busy, check_span, ending, limits, read_input, tell_shortfall, write_output,
+};
 use super::demo_clip;
 use super::given;
 use super::loss::{self, LossArgs};
@@ -165,6 +167,7 @@ fn found(args: &Args, path: &Path) -> anyhow::Result<PoseClip> {
     let bar = args.track.progress(path, source.as_ref());
     let measured = measure_clip(source, masks, &track, None, &mut |read| bar.set_position(read as u64))?;
     bar.finish_and_clear();
+    tell_shortfall(path, measured.clip.shortfall.as_deref());
     Ok(PoseClip { header: measured.clip.header(), frames: measured.clip.poses() })
 }
 
@@ -181,6 +184,7 @@ fn tracked(
     let bar = args.track.progress(path, source.as_ref());
     let mut measured = measure_clip(source, masks, &track, truth, &mut |read| bar.set_position(read as u64))?;
     bar.finish_and_clear();
+    tell_shortfall(path, measured.clip.shortfall.as_deref());
     if measured.seam.hands > 1 && !args.track.quiet {
         errln!("handcast: {name}: two hands; the first is measured, --hand chooses");
     }

@@ -103,7 +103,8 @@ fn picture(path: &Path, frame: usize) -> anyhow::Result<RgbImage> {
         }
         read = next.index + 1;
     }
-    anyhow::bail!("{}: frame {frame} of {read}", path.display())
+    let shortfall = source.shortfall().map_or_else(String::new, |told| format!(" ({told})"));
+    anyhow::bail!("{}: frame {frame} of {read}{shortfall}", path.display())
 }
 
 /// The piece of skin that `--sample` names.

@@ -40,6 +40,7 @@ handcast live clip.mp4 --loop --record hand.fba",
         "\
 handcast track clip.mp4 -o poses.jsonl --overlay seen.mp4
 handcast track selfie.mp4 -o poses.jsonl --mirror --smooth
+handcast track long.mp4 -o poses.jsonl --from 1:05 --until 1:20
 handcast track clip.mp4 -o hand.glb --person person.toml",
     ),
     (

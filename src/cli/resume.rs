@@ -1,13 +1,14 @@
 //! Going on where a run that was ended has stopped: its journal, and the frames that are still to be tracked.
 
 use std::path::Path;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, OnceLock};
 
 use anyhow::{Context, bail};
 use handcast_formats::atomic::AtomicFile;
 use handcast_formats::poses::{PoseReader, write_lines};
 use handcast_hand::{ClipHand, PoseClip, PoseHeader, Side};
+use handcast_limits::Limit;
 use handcast_media::{ClipInfo, Frame, FrameError, FrameSource};
 
 use super::common::{limits, read_input};
@@ -162,25 +163,39 @@ impl Resumed {
     }
 }
 
-/// The time of the newest frame that a clip has given, seconds.
+/// What is told of a clip while it is read: the time of the newest frame, seconds, and at its end what of it could not be
+/// shown.
 #[derive(Clone, Default)]
-pub struct Newest(Arc<AtomicU64>);
+pub struct Newest {
+    time: Arc<AtomicU64>,
+    shortfall: Arc<OnceLock<String>>,
+}
 
 impl Newest {
-    /// The clip, whose frames set the time.
-    pub fn watch(&self, source: Box<dyn FrameSource>) -> Box<dyn FrameSource> {
-        Box::new(Watched { source, newest: self.clone() })
+    /// The clip at `path`, whose frames set the time; where there are more than a motion may have it ends with an error.
+    pub fn watch(&self, path: &Path, source: Box<dyn FrameSource>) -> Box<dyn FrameSource> {
+        let name = path.display().to_string();
+        Box::new(Watched { source, name, count: 0, first: 0.0, newest: self.clone() })
     }
 
     /// Seconds; 0 before the first frame.
     pub fn time(&self) -> f64 {
-        f64::from_bits(self.0.load(Ordering::Relaxed))
+        f64::from_bits(self.time.load(Ordering::Relaxed))
+    }
+
+    /// What of the clip could not be shown, where it has been read to its end.
+    pub fn shortfall(&self) -> Option<&str> {
+        self.shortfall.get().map(String::as_str)
     }
 }
 
 /// A clip that tells how far it has been read.
 struct Watched {
     source: Box<dyn FrameSource>,
+    name: String,
+    /// Frames so far, and the time of the first.
+    count: usize,
+    first: f64,
     newest: Newest,
 }
 
@@ -195,8 +210,20 @@ impl FrameSource for Watched {
 
     fn next_frame(&mut self) -> Result<Option<Frame>, FrameError> {
         let frame = self.source.next_frame()?;
-        if let Some(frame) = &frame {
-            self.newest.0.store(frame.time.to_bits(), Ordering::Relaxed);
+        match &frame {
+            Some(frame) => {
+                self.first = if self.count == 0 { frame.time } else { self.first };
+                self.count += 1;
+                let counted = limits().check_count(Limit::Instants, self.count);
+                counted
+                    .and_then(|()| limits().check(Limit::Seconds, frame.time - self.first))
+                    .map_err(|excess| FrameError::Excess { path: self.name.clone(), excess })?;
+                self.newest.time.store(frame.time.to_bits(), Ordering::Relaxed);
+            }
+            None => {
+                let shortfall = self.source.shortfall();
+                shortfall.into_iter().for_each(|told| drop(self.newest.shortfall.set(told)));
+            }
         }
         Ok(frame)
     }

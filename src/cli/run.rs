@@ -17,6 +17,7 @@ use handcast_formats::person::write_person;
 use handcast_formats::poses::write_poses;
 use handcast_formats::unfinished::{Kind, Unfinished};
 use handcast_hand::{HandMesh, PoseClip, PoseHeader, Skeleton};
+use handcast_media::Part;
 use handcast_render::{Style, contact_sheet, preview_sheet};
 use image::codecs::png::PngEncoder;
 use image::{Rgba, RgbaImage};
@@ -28,6 +29,7 @@ use super::encode::{off, tips_mm};
 use super::files::RESULTS;
 use super::glb_out::GlbArgs;
 use super::overlay;
+use super::part::PartArgs;
 use super::poses_out::Journal;
 use super::summary::{Summary, per_second};
 use super::tracking::{Poses, TrackArgs, Tracked};
@@ -37,8 +39,10 @@ use super::usage::positive;
 /// Tracks the hands in a clip and writes stream, animated hand, overlay, preview and report
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// MP4/MOV, AVI, animated GIF/PNG/WebP, Y4M (- for standard input), a folder or "glob" of pictures
+    /// MP4/MOV, AVI, animated GIF/PNG/WebP, Y4M (- for standard input), a folder, "glob" or %03d pattern of pictures
     clip: PathBuf,
+    #[command(flatten)]
+    part: PartArgs,
     #[command(flatten)]
     work: Work,
 }
@@ -77,7 +81,8 @@ struct Work {
 pub fn run(mut args: Args) -> anyhow::Result<()> {
     args.work.output.get_or_insert_with(|| unnamed::folder_of(&args.clip));
     let name = args.clip.display().to_string();
-    args.work.in_output(|work| work.run(&args.clip, &name, None))
+    let part = args.part.part()?;
+    args.work.in_output(|work| work.run(&args.clip, &name, part, None))
 }
 
 /// Runs `handcast demo`.
@@ -87,7 +92,7 @@ pub fn demo(mut args: DemoArgs) -> anyhow::Result<()> {
     args.work.in_output(|work| {
         let clip = work.folder().join("demo.avi");
         demo_clip::write(&clip)?;
-        work.run(&clip, "the built-in clip", Some(demo_clip::poses()?))
+        work.run(&clip, "the built-in clip", Part::WHOLE, Some(demo_clip::poses()?))
     })
 }
 
@@ -262,7 +267,7 @@ impl Work {
         Ok((poses, person.is_some()))
     }
 
-    fn run(&self, path: &Path, name: &str, truth: Option<PoseClip>) -> anyhow::Result<()> {
+    fn run(&self, path: &Path, name: &str, part: Part, truth: Option<PoseClip>) -> anyhow::Result<()> {
         let begun = Instant::now();
         // What is wrong with a rig is said before the work.
         self.glb.read()?;
@@ -272,7 +277,7 @@ impl Work {
         journal.move_rest()?;
         // All of them are encoded together.
         let poses = Poses { lines: Some(journal.lines(None)), keep: true };
-        let mut tracked = journal.of(self.track.track(path, self.input_fps, overlay, poses, None))?;
+        let mut tracked = journal.of(self.track.track(path, self.input_fps, part, overlay, poses, None))?;
         let bar = busy(!self.track.quiet && !self.track.json, "encoding");
         let mut summary = tracked.summary(name);
         let glb_out = self.glb.read()?.of_tone(tracked.end.skin_tone).named(path);

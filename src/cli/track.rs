@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use super::files::check_free;
 use super::overlay;
+use super::part::PartArgs;
 use super::poses_out::{Journal, Lines, OutArgs};
 use super::resume::Resumed;
 use super::tracking::{Poses, TrackArgs};
@@ -12,7 +13,7 @@ use super::usage::positive;
 /// Tracks the hands in a clip and writes their poses, with confidence and overlap frame by frame
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// MP4/MOV, AVI, animated GIF/PNG/WebP, Y4M (- for standard input), a folder or "glob" of pictures
+    /// MP4/MOV, AVI, animated GIF/PNG/WebP, Y4M (- for standard input), a folder, "glob" or %03d pattern of pictures
     clip: PathBuf,
     /// File to write: .jsonl (with confidence, overlap and validity), .json, .csv, .bvh, .vrma, .webxr.json,
     /// .landmarks.jsonl, .pose, .bap or .glb
@@ -29,6 +30,8 @@ pub struct Args {
     #[arg(long, value_name = "HZ", default_value_t = 30.0, value_parser = positive)]
     input_fps: f64,
     #[command(flatten)]
+    part: PartArgs,
+    #[command(flatten)]
     track: TrackArgs,
     #[command(flatten)]
     out: OutArgs,
@@ -37,6 +40,7 @@ pub struct Args {
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<()> {
     let format = args.out.motion(&args.output)?;
+    let part = args.part.part()?;
     if let Some(told) = args.track.told_side().filter(|side| !args.out.wants(*side)) {
         refuse!("--hand {} tracks no other hand, and --only leaves that out", told.name());
     }
@@ -68,7 +72,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     };
     let kept = resumed.as_ref().zip(journal.as_ref().map(Journal::path));
     let poses = Poses { lines, keep: !as_they_come };
-    let tracked = args.track.track(&args.clip, args.input_fps, args.overlay.clone(), poses, kept);
+    let tracked = args.track.track(&args.clip, args.input_fps, part, args.overlay.clone(), poses, kept);
     let mut tracked = match &mut journal {
         Some(journal) => journal.of(tracked)?,
         None => tracked?,

@@ -12,7 +12,8 @@ use handcast_hand::clip::MAX_RATE;
 use handcast_hand::landmarks::LANDMARKS_21;
 use handcast_hand::smooth::SmoothOptions;
 use handcast_hand::{ClipHand, Morphology, Person, PoseClip, PoseHeader, Side, TimedPose};
-use handcast_media::{ClipInfo, FrameSource, OpenOptions};
+use handcast_limits::Limit;
+use handcast_media::{ClipInfo, FrameSource, OpenOptions, Part};
 use handcast_net::files::Bundle;
 use handcast_net::hands::{NetFinder, NetFinderOptions};
 use handcast_track::pipeline::{
@@ -22,7 +23,7 @@ use handcast_vision::VisionError;
 use handcast_vision::sighting::{ReadySightings, Region, Sighting};
 use indicatif::{ProgressBar, ProgressStyle};
 
-use super::common::{FaceOrAuto, HandOrAuto, field_of_view, hand_length, progress};
+use super::common::{FaceOrAuto, HandOrAuto, field_of_view, hand_length, limits, progress, tell_shortfall};
 use super::given;
 use super::length;
 use super::message;
@@ -124,8 +125,8 @@ enum StartArg {
 pub struct Refused(String);
 
 /// The error, of the clip called `name`, with how to get round it, where there is a way; `by_colours` says that nothing but
-/// colours and motion told where the hand is.
-fn advised(error: ClipError, name: &Path, by_colours: bool) -> anyhow::Error {
+/// colours and motion told where the hand is, `shortfall` what of the clip could not be shown.
+fn advised(error: ClipError, name: &Path, by_colours: bool, shortfall: Option<&str>) -> anyhow::Error {
     use ClipError::{BadFit, Empty, Frames, Learn, NeverOpen, NoHand, Option, Person, Sink};
     if !matches!(
         error,
@@ -146,7 +147,8 @@ fn advised(error: ClipError, name: &Path, by_colours: bool) -> anyhow::Error {
     if by_colours && (never_open || misled) {
         advice += "; networks, of which `handcast net` tells, find hands by more than colours";
     }
-    Refused(format!("{}: {error}{advice}", name.display())).into()
+    let shortfall = shortfall.map_or_else(String::new, |told| format!(" ({told})"));
+    Refused(format!("{}: {error}{shortfall}{advice}", name.display())).into()
 }
 
 /// What is said of smoothing poses as they come.
@@ -208,18 +210,21 @@ fn read_sightings(path: &Path, clip: &ClipInfo) -> anyhow::Result<ReadySightings
     Ok(ReadySightings::new(frames, 0.75 / rate).in_pictures_of(width.round() as u32))
 }
 
-/// That there is a mask for each frame, as far as it is known before they are read.
+/// That there is a mask for each frame, where it is known before they are read how many there are.
 fn check_masks(masks: &Path, have: &ClipInfo, clip: &Path, want: &ClipInfo) -> anyhow::Result<()> {
-    let Some((have, frames)) = have.frames.zip(want.frames).filter(|(have, frames)| have < frames) else {
+    let numbered = want.frames.map(|frames| want.before + frames);
+    let Some((have, frames)) = have.frames.zip(numbered).filter(|(have, frames)| have < frames) else {
         return Ok(());
     };
-    let told = format!("{}: {have} masks for the {frames} frames of {}", masks.display(), clip.display());
-    // An AVI file counts frames that it leaves out, too.
-    if !want.format.starts_with("avi") {
-        bail!(told);
-    }
-    errln!("handcast: {told}, if these are as many as it says");
-    Ok(())
+    bail!("{}: {have} masks for the {frames} frames of {}", masks.display(), clip.display());
+}
+
+/// That a clip is no longer than a motion may be, where it is known before it is read.
+fn check_length(path: &Path, clip: &dyn FrameSource) -> anyhow::Result<()> {
+    let Some(times) = clip.times() else { return Ok(()) };
+    let seconds = times.first().zip(times.last()).map_or(0.0, |(first, last)| last - first);
+    let counted = limits().check_count(Limit::Instants, times.len());
+    counted.and_then(|()| limits().check(Limit::Seconds, seconds)).with_context(|| path.display().to_string())
 }
 
 /// Probability of a side that a file of landmarks names.
@@ -264,15 +269,17 @@ impl TrackArgs {
         &self,
         path: &Path,
         rate: f64,
+        part: Part,
         overlay: Option<PathBuf>,
         poses: Poses,
         resumed: Option<(&Resumed, &Path)>,
     ) -> anyhow::Result<Tracked> {
         let begun = Instant::now();
-        let (mut source, masks) = self.open(path, rate)?;
+        let (mut source, masks) = self.open_part(path, rate, part)?;
+        check_length(path, source.as_ref())?;
         let (finder, named) = self.finder(source.info())?.unzip();
         let mut options = self.options_with(finder)?;
-        let work = self.work(path, source.info(), named, options.person.clone());
+        let work = self.work(path, source.info(), part, named, options.person.clone());
         if path.as_os_str() == "-" && poses.lines.as_ref().is_some_and(Lines::flow) {
             // What goes from pipe to pipe may be live, and cannot wait for fingers to bend.
             options.tuning.contest.undecided = 0;
@@ -285,19 +292,16 @@ impl TrackArgs {
         let by_colours = options.finder.is_none() && masks.is_none();
         let of_masks = masks.as_ref().and_then(|masks| masks.info().frames);
         let mut sink = Sink::new(self, path, overlay, poses, rate, source.as_ref());
+        let newest = Newest::default();
         if let Some((lines, header)) = &mut sink.lines {
             header.hands = resumed.map(|(resumed, _)| resumed.hands()).unwrap_or_default();
             if !lines.flow() {
-                let newest = Newest::default();
-                source = newest.watch(source);
-                sink.journal = Some((work, newest));
+                sink.journal = Some((work, newest.clone()));
             }
         }
-        let end = track_frames(source, masks, &options, &mut sink);
-        let end = end.map_err(|error| advised(error, path, by_colours))?;
-        if let Some(shortfall) = &end.shortfall {
-            errln!("handcast: {}: {shortfall}", path.display());
-        }
+        let end = track_frames(newest.watch(path, source), masks, &options, &mut sink);
+        let end = end.map_err(|error| advised(error, path, by_colours, newest.shortfall()))?;
+        tell_shortfall(path, end.shortfall.as_deref());
         if end.further > 0 {
             let s = if end.further > 1 { "s" } else { "" };
             errln!(
@@ -306,7 +310,7 @@ impl TrackArgs {
                 end.further
             );
         }
-        if let (Some(dir), Some(masks)) = (&self.mask, of_masks)
+        if let (Some(dir), Some(masks), true) = (&self.mask, of_masks, part == Part::WHOLE)
             && masks > sink.read
         {
             let (dir, name, unused) = (dir.display(), path.display(), masks - sink.read);
@@ -356,8 +360,15 @@ impl TrackArgs {
 
     /// Opens a clip and its masks.
     pub fn open(&self, path: &Path, rate: f64) -> anyhow::Result<Frames> {
+        self.open_part(path, rate, Part::WHOLE)
+    }
+
+    /// Opens a part of a clip, and the masks of all of it.
+    fn open_part(&self, path: &Path, rate: f64, part: Part) -> anyhow::Result<Frames> {
         let open = OpenOptions::default().with_rate(rate);
-        let source = handcast_media::open(path, &open)?;
+        // Masks are told by numbers.
+        let part = Part { numbered: self.mask.is_some(), ..part };
+        let source = handcast_media::open(path, &open.clone().with_part(part))?;
         given::note_idle_rate(path.display(), source.info().rate, rate, "input_fps");
         if let Some(rate) = source.info().rate.filter(|rate| *rate > MAX_RATE) {
             bail!("{}: {rate} pictures per second, allowed are up to {MAX_RATE}", path.display());
@@ -433,16 +444,26 @@ impl TrackArgs {
     }
 
     /// What is tracked, in words that tell it from other clips and from other ways to track it.
-    fn work(&self, path: &Path, clip: &ClipInfo, finder: Option<String>, person: Option<Person>) -> String {
+    fn work(
+        &self,
+        path: &Path,
+        clip: &ClipInfo,
+        part: Part,
+        finder: Option<String>,
+        person: Option<Person>,
+    ) -> String {
         let track = self.settings_with(finder, person);
         let settings = Settings { track, ..Settings::default() }.digest();
         let frames = clip.frames.map_or_else(String::new, |frames| format!(", {frames} frames"));
         let rate = clip.rate.map_or_else(String::new, |rate| format!(", {rate:.3} frames/s"));
+        let whole = (part.from, part.until) == (Part::WHOLE.from, Part::WHOLE.until);
+        let until = if part.until.is_finite() { format!(" until {} s", part.until) } else { String::new() };
+        let part = if whole { String::new() } else { format!(", from {} s{until}", part.from) };
         // What is at an address, or a folder, has no size.
         let bytes = std::fs::metadata(path).ok().filter(Metadata::is_file);
         let bytes = bytes.map_or_else(String::new, |file| format!(", {} bytes", file.len()));
         format!(
-            "{}, of {}{bytes}, {}x{}{frames}{rate}, options {settings}",
+            "{}, of {}{bytes}, {}x{}{frames}{rate}{part}, options {settings}",
             made_by(),
             clip.format,
             clip.width,

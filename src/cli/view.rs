@@ -7,7 +7,7 @@ use anyhow::Context;
 use handcast_media::OpenOptions;
 use handcast_view::{Film, Pictures, Show, Video, bind, page, picture_side, serve, times};
 
-use super::common::{told_kind, write_output};
+use super::common::{tell_shortfall, told_kind, write_output};
 use super::motion::MotionArgs;
 use super::usage::positive;
 
@@ -102,7 +102,9 @@ fn read_clip(path: &Path, args: &Args, times: &[f64]) -> anyhow::Result<Video> {
     {
         return Ok(Video::Film(film));
     }
-    Ok(Video::Pictures(Pictures::read(&mut source, times, side).with_context(name)?))
+    let pictures = Pictures::read(&mut source, times, side).with_context(name)?;
+    tell_shortfall(path, source.shortfall().as_deref());
+    Ok(Video::Pictures(pictures))
 }
 
 /// What opens a page on a system: the program, and what comes before the page. A shell would read the page's name.

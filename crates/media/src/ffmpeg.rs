@@ -1,5 +1,6 @@
 //! Video that this crate does not decode, through the `ffmpeg` program as a pipe.
 
+use std::ffi::OsString;
 use std::io::{self, BufRead, BufReader};
 use std::path::Path;
 use std::process::{Child, ChildStderr, Command, Stdio};
@@ -20,15 +21,35 @@ pub(super) fn open(
     codec: &str,
     options: &OpenOptions,
 ) -> Result<Box<dyn FrameSource>, FrameError> {
-    let mut input = std::ffi::OsString::from("file:");
+    let mut input = OsString::from("file:");
     input.push(path);
     open_input(&["-i".as_ref(), input.as_os_str()], name, codec, FIELDS, options)
+}
+
+/// The containers that are looked for in what begins like nothing that is known: those whose files name no other file.
+const SELF_CONTAINED: &str = "mov,matroska,avi,mpeg,mpegvideo,mpegts,m4v,h264,hevc,vvc,av1,obu,ivf,flv,live_flv,asf,ogg,nut,\
+    mxf,dv,gxf,rm,wtv,roq,bink,swf,nuv,yuv4mpegpipe,mjpeg,gif,apng,jpeg_pipe,png_pipe,webp_pipe,tiff_pipe,psd_pipe,exr_pipe,\
+    jpegxl_pipe,jpegxl_anim,j2k_pipe,qoi_pipe,dds_pipe,sunrast_pipe,sgi_pipe,pcx_pipe";
+
+/// Opens `path` with the helper program, which may know better what it is; it is let follow no names in it.
+pub(super) fn open_unknown(
+    path: &Path,
+    name: &str,
+    options: &OpenOptions,
+) -> Result<Box<dyn FrameSource>, FrameError> {
+    let mut input = OsString::from("file:");
+    input.push(path);
+    let input = ["-format_whitelist".as_ref(), SELF_CONTAINED.as_ref(), "-i".as_ref(), input.as_os_str()];
+    open_input(&input, name, "unknown container", FIELDS, options)
 }
 
 /// What the helper program may ask for what is at an address of the web, and of a stream: never a file of this machine, which
 /// a playlist could name.
 const WEB_PROTOCOLS: &str = "http,https,httpproxy,tcp,tls,crypto,data";
 const STREAM_PROTOCOLS: &str = "rtsp,rtp,srtp,rtmp,rtmps,srt,udp,http,https,httpproxy,tcp,tls,crypto,data";
+
+/// What a stream of the network is called in place of a codec.
+const STREAM: &str = "stream";
 
 /// Opens what is at an address with the helper program.
 pub(super) fn open_url(
@@ -39,7 +60,7 @@ pub(super) fn open_url(
     let (what, codec, protocols, advice) = match address {
         Address::Web => ("an address of the web", "web", WEB_PROTOCOLS, "download it first"),
         Address::Stream => {
-            ("a stream of the network", "stream", STREAM_PROTOCOLS, "give its pictures as Y4M, by -")
+            ("a stream of the network", STREAM, STREAM_PROTOCOLS, "give its pictures as Y4M, by -")
         }
     };
     let unsupported = |hint: &str| FrameError::UnsupportedCodec {
@@ -80,9 +101,19 @@ pub(super) fn open_input<S: AsRef<std::ffi::OsStr>>(
     input: &[S],
     name: &str,
     codec: &str,
-    filters: &str,
+    filters: &'static str,
     options: &OpenOptions,
 ) -> Result<Box<dyn FrameSource>, FrameError> {
+    Ok(Box::new(open_helper(input, name, codec, filters, options)?))
+}
+
+fn open_helper<S: AsRef<std::ffi::OsStr>>(
+    input: &[S],
+    name: &str,
+    codec: &str,
+    filters: &'static str,
+    options: &OpenOptions,
+) -> Result<FfmpegSource, FrameError> {
     let [once, older] = ONCE;
     match open_with(once, input, name, codec, filters, options) {
         Err(FrameError::Helper { message, .. }) if message.contains(UNKNOWN) => {
@@ -92,14 +123,38 @@ pub(super) fn open_input<S: AsRef<std::ffi::OsStr>>(
     }
 }
 
+/// How the program is started again, to begin later.
+struct Again {
+    input: Vec<OsString>,
+    name: String,
+    codec: String,
+    raw: &'static str,
+    options: OpenOptions,
+}
+
+/// What the program begins in anywhere, not with a picture that stands alone: those up to the next one would be missing.
+const WITHOUT_INDEX: [&str; 6] =
+    ["MPEG transport stream", "MPEG program stream", "raw H.264", "unknown container", "web", STREAM];
+/// Seconds that are decoded rather than that the program is started again.
+const NEAR: f64 = 2.0;
+/// Seconds before the first picture that is wanted at which the program begins.
+const AHEAD: f64 = 0.1;
+
+/// What pictures pass behind `raw` filters. Y4M has no field for the matrix, so one is asked for; pixels become square, as far
+/// as their shape makes sense.
+fn filters_behind(raw: &str) -> String {
+    let width = "w='if(eq(sar,1)+not(between(sar,0.1,10)),iw,max(1,trunc(iw*sar/2))*2)':h=ih";
+    format!("{raw}{TIMES}scale={width}:out_color_matrix=bt709:out_range=limited,setsar=1,format=yuv420p")
+}
+
 fn open_with<S: AsRef<std::ffi::OsStr>>(
     once: &str,
     input: &[S],
     name: &str,
     codec: &str,
-    filters: &str,
+    raw: &'static str,
     options: &OpenOptions,
-) -> Result<Box<dyn FrameSource>, FrameError> {
+) -> Result<FfmpegSource, FrameError> {
     let unsupported = |hint: &str| FrameError::UnsupportedCodec {
         path: name.to_owned(),
         codec: codec.to_owned(),
@@ -108,11 +163,7 @@ fn open_with<S: AsRef<std::ffi::OsStr>>(
     let Some(program) = &options.ffmpeg else {
         return Err(unsupported("; convert it to H.264 in MP4, or to Y4M, first"));
     };
-    // Y4M has no field for the matrix, so one is asked for. Pixels become square, as far as their shape makes sense.
-    let width = "w='if(eq(sar,1)+not(between(sar,0.1,10)),iw,max(1,trunc(iw*sar/2))*2)':h=ih";
-    let filters = format!(
-        "{filters}{TIMES}scale={width}:out_color_matrix=bt709:out_range=limited,setsar=1,format=yuv420p"
-    );
+    let filters = filters_behind(raw);
     let started = Command::new(program)
         .args(["-nostdin", "-v", "error"])
         .args(input)
@@ -155,11 +206,19 @@ fn open_with<S: AsRef<std::ffi::OsStr>>(
             let rate = frames.info().rate.unwrap_or(options.rate);
             let times = Times { told, rate, ahead: None, first: None, last: None };
             let times = times.begun();
+            let input: Vec<OsString> = input.iter().map(|part| part.as_ref().to_owned()).collect();
+            let again = Again {
+                input,
+                name: name.to_owned(),
+                codec: codec.to_owned(),
+                raw,
+                options: options.clone(),
+            };
             frames.set_origin(
                 format!("{codec} through ffmpeg"),
                 times.first.map_or(0.0, |first| first.max(0.0)),
             );
-            Ok(Box::new(FfmpegSource { frames, times, helper }))
+            Ok(FfmpegSource { frames, times, helper, again, skipped: false, max_side: None })
         }
         Err(FrameError::Empty { .. } | FrameError::Truncated { .. }) => {
             Err(helper.failure(why_no_picture, "it gave no picture"))
@@ -304,6 +363,10 @@ struct FfmpegSource {
     frames: Y4mSource,
     times: Times,
     helper: Helper,
+    again: Again,
+    /// Whether pictures were left out, so that numbers follow from times.
+    skipped: bool,
+    max_side: Option<u32>,
 }
 
 impl FrameSource for FfmpegSource {
@@ -312,12 +375,39 @@ impl FrameSource for FfmpegSource {
     }
 
     fn set_max_side(&mut self, side: u32) {
+        self.max_side = Some(self.max_side.map_or(side, |own| own.min(side)));
         self.frames.set_max_side(side);
+    }
+
+    fn skip_to(&mut self, seconds: f64) -> Result<(), FrameError> {
+        let has_index = !WITHOUT_INDEX.contains(&self.again.codec.as_str());
+        let (Some(first), true) = (self.times.first, has_index && seconds > NEAR) else { return Ok(()) };
+        // As it is told to the program.
+        let from = (1e3 * (first + seconds - AHEAD).max(0.0)).floor() / 1e3;
+        let mut input: Vec<OsString> = vec!["-ss".into(), format!("{from:.3}").into()];
+        input.extend(self.again.input.iter().cloned());
+        let Again { name, codec, raw, options, .. } = &self.again;
+        // What cannot begin there begins at the beginning.
+        let Ok(mut later) = open_helper(&input, name, codec, raw, options) else { return Ok(()) };
+        if let Some(side) = self.max_side {
+            later.set_max_side(side);
+        }
+        later.frames.set_origin(self.info().format.clone(), self.info().start);
+        // Its times count from where it began.
+        later.times.first = Some(first - from);
+        later.skipped = true;
+        *self = later;
+        Ok(())
     }
 
     fn next_frame(&mut self) -> Result<Option<Frame>, FrameError> {
         match self.frames.next_frame() {
-            Ok(Some(frame)) => Ok(Some(Frame { time: self.times.next(), ..frame })),
+            Ok(Some(frame)) => {
+                let time = self.times.next();
+                let index =
+                    if self.skipped { (time * self.times.rate).round() as usize } else { frame.index };
+                Ok(Some(Frame { index, time, ..frame }))
+            }
             Ok(None) => match self.helper.child.wait() {
                 Ok(status) if status.success() => {
                     self.helper.listen();

@@ -19,6 +19,9 @@ pub(super) struct FolderSource {
     shrinker: Shrinker,
     limits: Limits,
     index: usize,
+    /// How many pictures could not be read, and what is wrong with the first of them.
+    lost: usize,
+    damage: Option<FrameError>,
 }
 
 impl FolderSource {
@@ -59,6 +62,30 @@ impl FolderSource {
         Self::from_files(files, pattern, "pattern", options)
     }
 
+    /// All numbered pictures that a pattern in ffmpeg's style names: `shot%03d.png`, with any first number.
+    pub(super) fn from_numbered(pattern: &Path, options: &OpenOptions) -> Result<Self, FrameError> {
+        let name = pattern.display().to_string();
+        let missing = || FrameError::NotFound { path: name.clone() };
+        let file = pattern.file_name().and_then(|file| file.to_str()).ok_or_else(missing)?;
+        let numbered = Numbered::of(file).ok_or_else(missing)?;
+        let folder = pattern.parent().filter(|folder| !folder.as_os_str().is_empty());
+        let entries = std::fs::read_dir(folder.unwrap_or(Path::new("."))).map_err(|_| missing())?;
+        let mut files = Vec::new();
+        for entry in entries {
+            let entry = entry.map_err(|source| FrameError::Io { path: name.clone(), source })?;
+            let fits = entry.file_name().to_str().is_some_and(|file| numbered.fits(file));
+            let path =
+                folder.map_or_else(|| entry.file_name().into(), |folder| folder.join(entry.file_name()));
+            if fits && path.is_file() {
+                files.push(path);
+            }
+        }
+        if files.is_empty() {
+            return Err(missing());
+        }
+        Self::from_files(files, &name, "pattern", options)
+    }
+
     fn from_files(
         mut files: Vec<PathBuf>,
         name: &str,
@@ -70,8 +97,8 @@ impl FolderSource {
             return Err(FrameError::Malformed { path: name.to_owned(), what });
         }
         files.sort_by(|a, b| natural(&a.to_string_lossy(), &b.to_string_lossy()));
-        let first = files.first().map_or_else(PathBuf::new, Clone::clone);
-        let (width, height) = animation::dimensions(&first, &options.limits)?;
+        let sizes = files.iter().map(|file| animation::dimensions(file, &options.limits));
+        let (width, height) = first_good(sizes).unwrap_or(Ok((0, 0)))?;
         let (width, height) = check_size(name, u64::from(width), u64::from(height), &options.limits)?;
         let info = ClipInfo {
             width,
@@ -79,8 +106,8 @@ impl FolderSource {
             rate: Some(options.rate),
             frames: Some(files.len()),
             format: format!("{kind} of {} pictures", files.len()),
-            start: 0.0,
             notes: missing(&files).into_iter().collect(),
+            ..ClipInfo::default()
         };
         Ok(Self {
             files,
@@ -89,6 +116,8 @@ impl FolderSource {
             shrinker: Shrinker::new(options.max_side),
             limits: options.limits.clone(),
             index: 0,
+            lost: 0,
+            damage: None,
         })
     }
 }
@@ -102,31 +131,111 @@ impl FrameSource for FolderSource {
         self.shrinker.limit(side);
     }
 
+    fn times(&self) -> Option<Vec<f64>> {
+        Some((0..self.files.len()).map(|index| index as f64 / self.rate).collect())
+    }
+
+    fn skip_to(&mut self, seconds: f64) -> Result<(), FrameError> {
+        self.index = ((seconds * self.rate) as usize).saturating_sub(1).min(self.files.len());
+        Ok(())
+    }
+
     fn next_frame(&mut self) -> Result<Option<Frame>, FrameError> {
-        let Some(path) = self.files.get(self.index) else { return Ok(None) };
-        let index = self.index;
-        self.index += 1;
-        let read = animation::read_picture(path, &self.limits).and_then(|image| {
-            if image.dimensions() == (self.info.width, self.info.height) {
-                return Ok(image);
-            }
-            Err(FrameError::OtherSize {
-                path: path.display().to_string(),
-                size: image.dimensions(),
-                first: (self.info.width, self.info.height),
-            })
-        });
-        match read {
-            Ok(image) => {
-                let image = self.shrinker.rgb(image);
-                Ok(Some(Frame { index, time: index as f64 / self.rate, image }))
-            }
-            Err(error) => {
-                self.index = self.files.len();
-                Err(error)
+        while let Some(path) = self.files.get(self.index) {
+            let index = self.index;
+            self.index += 1;
+            let first = (self.info.width, self.info.height);
+            match animation::read_picture(path, &self.limits) {
+                Ok(image) if image.dimensions() == first => {
+                    let image = self.shrinker.rgb(image);
+                    return Ok(Some(Frame { index, time: index as f64 / self.rate, image }));
+                }
+                Ok(image) => {
+                    let (path, size) = (path.display().to_string(), image.dimensions());
+                    return Err(FrameError::OtherSize { path, size, first });
+                }
+                Err(error) if is_damage(&error) => {
+                    self.lost += 1;
+                    self.damage.get_or_insert(error);
+                }
+                Err(error) => return Err(error),
             }
         }
+        // Where there was none at all what is wrong with the first is.
+        match self.damage.take_if(|_| self.lost == self.files.len()) {
+            Some(error) => Err(error),
+            None => Ok(None),
+        }
     }
+
+    fn shortfall(&self) -> Option<String> {
+        let more = if self.lost > 1 { format!(" (and {} more)", self.lost - 1) } else { String::new() };
+        self.damage.as_ref().map(|error| format!("{error}{more}"))
+    }
+}
+
+/// The parts of a name with a number: `%d`, or `%03d` of three digits or more. `%%` stands for a percent sign.
+struct Numbered {
+    before: String,
+    digits: usize,
+    after: String,
+}
+
+impl Numbered {
+    /// `None` where the pattern has no number, or several.
+    fn of(pattern: &str) -> Option<Self> {
+        let (mut found, mut text, mut rest) = (None, String::new(), pattern);
+        while let Some((plain, behind)) = rest.split_once('%') {
+            text.push_str(plain);
+            rest = match behind.strip_prefix('%') {
+                Some(behind) => {
+                    text.push('%');
+                    behind
+                }
+                None => {
+                    let (digits, behind) = behind.split_once('d')?;
+                    let digits =
+                        if digits.is_empty() { 1 } else { digits.strip_prefix('0')?.parse().ok()? };
+                    if found.replace((std::mem::take(&mut text), digits)).is_some() {
+                        return None;
+                    }
+                    behind
+                }
+            };
+        }
+        let (before, digits) = found?;
+        Some(Self { before, digits, after: text + rest })
+    }
+
+    fn fits(&self, name: &str) -> bool {
+        let number = name.strip_prefix(&self.before).and_then(|rest| rest.strip_suffix(&self.after));
+        number.is_some_and(|number| {
+            let is_filled =
+                number.len() == self.digits || number.len() > self.digits && !number.starts_with('0');
+            is_filled && number.bytes().all(|byte| byte.is_ascii_digit())
+        })
+    }
+}
+
+/// Whether it is the picture that is wrong.
+fn is_damage(error: &FrameError) -> bool {
+    error.damage().is_some() || matches!(error, FrameError::NotAVideo { .. })
+}
+
+/// The first size of a picture that is not damaged, or the first error.
+fn first_good(
+    sizes: impl Iterator<Item = Result<(u32, u32), FrameError>>,
+) -> Option<Result<(u32, u32), FrameError>> {
+    let mut wrong = None;
+    for size in sizes {
+        match size {
+            Err(error) if is_damage(&error) => {
+                wrong.get_or_insert(Err(error));
+            }
+            size => return Some(size),
+        }
+    }
+    wrong
 }
 
 /// What is to be said of files numbered in even steps of which some are missing.
@@ -213,6 +322,26 @@ mod tests {
         let error = open("p0.png/*.png").err().unwrap();
         assert!(matches!(error, FrameError::NotFound { .. }), "{error:?}");
         std::fs::remove_dir_all(&folder).unwrap();
+    }
+
+    #[test]
+    fn numbers_are_written_as_patterns_say() {
+        let fits = |pattern: &str, name: &str| Numbered::of(pattern).unwrap().fits(name);
+        assert!(fits("a%03d.png", "a007.png") && fits("a%03d.png", "a1234.png"));
+        assert!(fits("%d.png", "12.png") && fits("%d.png", "0.png") && fits("100%%-%02d.png", "100%-07.png"));
+        for (pattern, name) in [
+            ("a%03d.png", "a7.png"),
+            ("a%03d.png", "a0007.png"),
+            ("a%d.png", "a07.png"),
+            ("a%d.png", "a.png"),
+            ("a%d.png", "a-1.png"),
+            ("a%d.png", "b1.png"),
+        ] {
+            assert!(!fits(pattern, name), "{pattern} {name}");
+        }
+        for pattern in ["a.png", "a%s.png", "a%3d.png", "%d-%d.png", "a%"] {
+            assert!(Numbered::of(pattern).is_none(), "{pattern}");
+        }
     }
 
     #[test]

@@ -63,29 +63,36 @@ pub(super) struct Movie {
     pub(super) pictures: Vec<Picture>,
     /// Seconds of the movie at which the first of them is shown.
     pub(super) start: f64,
-    /// What is worth saying of it.
-    pub(super) notes: Vec<String>,
+    /// How many of its pictures would be shown, where some are beyond the end of the file.
+    pub(super) told: Option<usize>,
+    /// In which way the file is cut or its tables are damaged, where it is.
+    pub(super) cut: Option<String>,
 }
 
 /// Reads the tables of the first track with H.264 of a file of so many bytes.
 pub(super) fn read(file: &mut (impl Read + Seek), length: u64, limits: &Limits) -> Found<Movie> {
     let (mut movie, mut fragments) = (None, Vec::new());
-    let walked = outer_boxes(file, length, |kind, at, size| match kind {
+    let mut cut = outer_boxes(file, length, |kind, at, size| match kind {
         b"moov" => movie = Some((at, size)),
         b"moof" => fragments.push((at, size)),
         _ => {}
-    });
-    // A recording that broke off has its whole fragments.
-    let cut = match walked {
-        Err(Fault::Truncated(what)) if movie.is_some() && !fragments.is_empty() => Some(what),
-        walked => walked.map(|()| None)?,
+    })?;
+    let Some(place) = movie else {
+        let cut = cut.map_or_else(String::new, |what| format!(": {what}"));
+        return Err(Fault::Truncated(format!("the box moov, which describes the movie, is missing{cut}")));
     };
-    let missing = || Fault::Truncated("the box moov, which describes the movie, is missing".to_owned());
-    let moov = content(file, movie.ok_or_else(missing)?)?;
+    let moov = content(file, place)?;
     let mut chosen: Option<Track> = None;
     let mut other = None;
-    for track in children(&moov).filter_map(|found| found.map(|b| b.of(b"trak")).transpose()) {
-        match Track::read(track?, limits, length)? {
+    for found in children(&moov) {
+        let found = match found {
+            Ok(found) => found,
+            // What is wrong behind the track is of no matter.
+            Err(_) if chosen.is_some() || other.is_some() => break,
+            Err(fault) => return Err(cut.map_or(fault, Fault::Truncated)),
+        };
+        let Some(trak) = found.of(b"trak") else { continue };
+        match Track::read(trak, limits, length)? {
             Ok(track) if chosen.as_ref().is_none_or(|before| track.id < before.id) => chosen = Some(track),
             Ok(_) => {}
             Err(codec) => other = other.or(codec),
@@ -94,11 +101,19 @@ pub(super) fn read(file: &mut (impl Read + Seek), length: u64, limits: &Limits) 
     let Some(mut track) = chosen else {
         return Err(other.map_or(Fault::Missing("the movie has no video track"), Fault::Codec));
     };
-    let defaults = fragment_defaults(&moov)?;
     let in_whole = fragments.is_empty();
-    for (at, size) in fragments {
-        let moof = content(file, (at, size))?;
-        track.add_fragment(&moof, at, &defaults, limits)?;
+    if !in_whole {
+        let defaults = fragment_defaults(&moov)?;
+        for (at, size) in fragments {
+            let moof = content(file, (at, size))?;
+            match track.add_fragment(&moof, at, &defaults, limits) {
+                Err(Fault::Malformed(what)) if !track.movie.pictures.is_empty() => {
+                    cut = Some(format!("the fragment at byte {at}: {what}"));
+                    break;
+                }
+                added => added?,
+            }
+        }
     }
     let timescale = match track.edit.is_some() {
         true => {
@@ -110,23 +125,22 @@ pub(super) fn read(file: &mut (impl Read + Seek), length: u64, limits: &Limits) 
     if let (Some(edit), true) = (track.edit, in_whole) {
         track.hide_outside(edit, timescale);
     }
-    if let Some(what) = cut {
-        track.keep_whole(length, &what);
-    }
-    track.finish(length, timescale)
+    track.keep_whole(length, cut)?;
+    Ok(track.finish(timescale))
 }
 
-/// Walks the outermost boxes: their kinds, where they begin, and their sizes.
+/// Walks the outermost boxes: their kinds, where they begin, and their sizes. Gives in which way the file is cut, where it is;
+/// of a movie's box that is cut there is what is left.
 fn outer_boxes(
     file: &mut (impl Read + Seek),
     length: u64,
     mut take: impl FnMut(&[u8; 4], u64, u64),
-) -> Found<()> {
+) -> Found<Option<String>> {
     let mut at = 0u64;
     file.seek(SeekFrom::Start(at)).map_err(Fault::Io)?;
     while at < length {
         if at + 8 > length {
-            return Err(Fault::Truncated(format!("a box header at byte {at} is cut")));
+            return Ok(Some(format!("a box header at byte {at} is cut")));
         }
         let mut head = [0u8; 16];
         let wanted = if at + 16 <= length { 16 } else { 8 };
@@ -141,11 +155,12 @@ fn outer_boxes(
             return malformed(format!("the box at byte {at} says it has {size} bytes"));
         }
         if size > length - at {
-            let kind = String::from_utf8_lossy(&kind).into_owned();
             let left = length - at;
-            return Err(Fault::Truncated(format!(
-                "the box {kind} at byte {at} says {size} bytes; {left} are left"
-            )));
+            if &kind == b"moov" {
+                take(&kind, at, left);
+            }
+            let kind = String::from_utf8_lossy(&kind);
+            return Ok(Some(format!("the box {kind} at byte {at} says {size} bytes; {left} are left")));
         }
         take(&kind, at, size);
         at += size;
@@ -153,7 +168,7 @@ fn outer_boxes(
         let behind = size.cast_signed().saturating_sub(wanted as i64);
         file.seek_relative(behind).map_err(Fault::Io)?;
     }
-    Ok(())
+    Ok(None)
 }
 
 /// What is in an outermost box.
@@ -365,7 +380,8 @@ impl Track {
             picture_sets: sets.picture,
             pictures: Vec::new(),
             start: 0.0,
-            notes: Vec::new(),
+            told: None,
+            cut: None,
         };
         let mut track = Self { id, movie, clock: 0, edit: edit(trak)? };
         track.add_table(table, limits, length)?;
@@ -498,33 +514,39 @@ impl Track {
         }
     }
 
-    /// Leaves out the pictures from the first one on that is not whole in a file that is cut, and says so.
-    fn keep_whole(&mut self, length: u64, what: &str) {
+    /// Leaves out the pictures from the first one on that does not lie within the file, which is cut in the way told, or whose
+    /// tables are damaged.
+    fn keep_whole(&mut self, length: u64, cut: Option<String>) -> Found<()> {
         let pictures = &mut self.movie.pictures;
-        let (all, whole) =
-            (pictures.len(), pictures.iter().take_while(|picture| picture.is_within(length)).count());
-        pictures.truncate(whole);
-        self.movie
-            .notes
-            .push(format!("cut off, of {all} pictures that it tells of {whole} are there: {what}"));
+        let all = pictures.len();
+        let whole = pictures.iter().take_while(|picture| picture.is_within(length)).count();
+        if whole < all {
+            let beyond = format!("frame {whole} of {all} lies beyond the end of the file");
+            if whole == 0 {
+                return Err(Fault::Truncated(cut.map_or(beyond.clone(), |cut| format!("{beyond}: {cut}"))));
+            }
+            self.movie.told = Some(pictures.iter().filter(|picture| picture.shown).count());
+            pictures.truncate(whole);
+            self.movie.cut = Some(cut.unwrap_or(beyond));
+        } else {
+            if let (true, Some(cut)) = (all == 0, &cut) {
+                return Err(Fault::Truncated(cut.clone()));
+            }
+            self.movie.cut = cut;
+        }
+        Ok(())
     }
 
-    /// The movie, of `timescale` ticks a second, when all of its pictures lie within the file; the first one shown is at 0.
-    fn finish(mut self, length: u64, timescale: u32) -> Found<Movie> {
+    /// The movie, of `timescale` ticks a second; the first of its pictures that is shown is at 0.
+    fn finish(mut self, timescale: u32) -> Movie {
         let pictures = &mut self.movie.pictures;
-        let count = pictures.len();
-        if let Some(number) = pictures.iter().position(|picture| !picture.is_within(length)) {
-            return Err(Fault::Truncated(format!(
-                "frame {number} of {count} lies beyond the end of the file"
-            )));
-        }
         let shown = pictures.iter().filter(|picture| picture.shown);
         let first = shown.map(|picture| picture.time).min().unwrap_or(0);
         pictures.iter_mut().for_each(|picture| picture.time = picture.time.saturating_sub(first));
         let (at, from) = self.edit.map_or((0, 0), |edit| (edit.at, edit.start));
         let into = first.saturating_sub(from) as f64 / f64::from(self.movie.timescale);
         self.movie.start = at as f64 / f64::from(timescale) + into.max(0.0);
-        Ok(self.movie)
+        self.movie
     }
 }
 

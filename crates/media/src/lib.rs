@@ -45,7 +45,7 @@ pub const MAX_PIXELS: u64 = handcast_limits::DEFAULT.pixels;
 /// One picture of a clip.
 #[derive(Clone, Debug)]
 pub struct Frame {
-    /// Position in the clip, from 0, in presentation order.
+    /// Position in the clip, from 0, in presentation order; pictures that could not be decoded are counted as well.
     pub index: usize,
     /// Presentation time in seconds from the first frame.
     pub time: f64,
@@ -63,10 +63,14 @@ pub struct ClipInfo {
     /// Frames per second, of a clip that dropped frames those of its camera, the mean if they vary without a beat; `None` for a
     /// still picture or when unknown.
     pub rate: Option<f64>,
-    /// Number of frames that are shown, when the input says so in advance.
+    /// Number of frames that are there to be shown, where it is known in advance: by tables or an index, or a list of files.
     pub frames: Option<usize>,
+    /// Number of frames that the input says it has, where these are more: its end is missing.
+    pub told: Option<usize>,
     /// What the input is, for people: `mp4 h264`, `gif`, `folder of 12 pictures`…
     pub format: String,
+    /// Number of frames before the part that is read, where [`ClipInfo::frames`] tells.
+    pub before: usize,
     /// Seconds of the file at which its first picture is shown, from which the times of its frames count; 0 where it tells none.
     pub start: f64,
     /// What is worth saying of it: pictures that seem to be missing, say.
@@ -99,13 +103,30 @@ pub trait FrameSource: Send {
     /// picture is read: what comes of it later is up to the source. The info goes on telling the size as stored.
     fn set_max_side(&mut self, side: u32);
 
+    /// When the pictures that are there are shown, seconds in rising order, where it is known in advance.
+    fn times(&self) -> Option<Vec<f64>> {
+        None
+    }
+
+    /// Asks for the pictures from `seconds` on, as fast as they can be had; some before that may come all the same, each with
+    /// its own time and number. To be called before the first picture is read.
+    ///
+    /// # Errors
+    /// The input cannot be read there.
+    fn skip_to(&mut self, seconds: f64) -> Result<(), FrameError> {
+        let _ = seconds;
+        Ok(())
+    }
+
     /// The next picture, `None` after the last.
     ///
     /// # Errors
-    /// The input is damaged or uses what is not supported; after an error the source is at its end.
+    /// The input is damaged or uses what is not supported; after an error the source is at its end. Where [`open`] gave it,
+    /// damage behind the first picture is passed over, or ends it as the [`shortfall`](Self::shortfall) then tells.
     fn next_frame(&mut self) -> Result<Option<Frame>, FrameError>;
 
-    /// After the last picture: what of the clip could not be shown, in words, where damage is passed over.
+    /// After the last picture: what of the clip could not be shown, in words: which damage was passed over or ended it, and
+    /// how many of how many pictures there were.
     fn shortfall(&self) -> Option<String> {
         None
     }
@@ -118,6 +139,14 @@ impl FrameSource for Box<dyn FrameSource> {
 
     fn set_max_side(&mut self, side: u32) {
         self.as_mut().set_max_side(side);
+    }
+
+    fn times(&self) -> Option<Vec<f64>> {
+        self.as_ref().times()
+    }
+
+    fn skip_to(&mut self, seconds: f64) -> Result<(), FrameError> {
+        self.as_mut().skip_to(seconds)
     }
 
     fn next_frame(&mut self) -> Result<Option<Frame>, FrameError> {
@@ -141,11 +170,44 @@ pub struct OpenOptions {
     pub ffmpeg: Option<PathBuf>,
     /// How large pictures may be, and how many a clip's tables may list.
     pub limits: Limits,
+    /// The part of the clip that is read.
+    pub part: Part,
 }
+
+/// A part of a clip.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Part {
+    /// Seconds from the clip's first picture on.
+    pub from: f64,
+    /// Seconds from the clip's first picture at which it has ended.
+    pub until: f64,
+    /// Whether pictures must have their numbers, though those before the part be read for that.
+    pub numbered: bool,
+}
+
+impl Part {
+    /// All of it.
+    pub const WHOLE: Self = Self { from: 0.0, until: f64::INFINITY, numbered: false };
+
+    /// The numbers of those of `times`, in rising order, that lie in it.
+    fn of(&self, times: &[f64]) -> std::ops::Range<usize> {
+        let at = |end: f64| times.partition_point(|time| *time < end - ROUNDED);
+        at(self.from)..at(self.until).max(at(self.from))
+    }
+}
+
+/// How far times may be rounded to lie within a part, seconds.
+const ROUNDED: f64 = 1e-6;
 
 impl Default for OpenOptions {
     fn default() -> Self {
-        Self { rate: 30.0, max_side: None, ffmpeg: Some(PathBuf::from("ffmpeg")), limits: Limits::default() }
+        Self {
+            rate: 30.0,
+            max_side: None,
+            ffmpeg: Some(PathBuf::from("ffmpeg")),
+            limits: Limits::default(),
+            part: Part::WHOLE,
+        }
     }
 }
 
@@ -165,6 +227,12 @@ impl OpenOptions {
     /// Sets [`OpenOptions::ffmpeg`].
     pub fn with_ffmpeg(mut self, program: Option<PathBuf>) -> Self {
         self.ffmpeg = program;
+        self
+    }
+
+    /// Sets [`OpenOptions::part`].
+    pub fn with_part(mut self, part: Part) -> Self {
+        self.part = part;
         self
     }
 
@@ -287,7 +355,21 @@ pub enum FrameError {
     },
 }
 
-/// Opens a clip, a picture, a folder, a pattern (`shots/*.png`), what is at an address (`https://…`, `rtsp://…`: see
+impl FrameError {
+    /// What is wrong without the input's name, where it is the input that is: it ends too early, is damaged, or uses what no
+    /// decoder here knows.
+    fn damage(&self) -> Option<String> {
+        match self {
+            Self::Truncated { what, .. } => Some(format!("truncated: {what}")),
+            Self::Malformed { what, .. } => Some(format!("damaged: {what}")),
+            Self::UnsupportedCodec { codec, hint, .. } => Some(format!("{codec} is not decoded here{hint}")),
+            Self::Helper { program, message, .. } => Some(format!("{program} failed: {message}")),
+            _ => None,
+        }
+    }
+}
+
+/// Opens a clip, a picture, a folder, a pattern (`shots/*.png`, `shots/%03d.png`), what is at an address (`https://…`, `rtsp://…`: see
 /// [`Address`]) through the helper program, or, for `-`, Y4M on standard input.
 ///
 /// # Errors
@@ -295,18 +377,149 @@ pub enum FrameError {
 /// decoded here so that an undecodable file fails at once.
 pub fn open(input: impl AsRef<Path>, options: &OpenOptions) -> Result<Box<dyn FrameSource>, FrameError> {
     check_options(options)?;
-    Ok(Box::new(Ending { source: open_by_content(input.as_ref(), options)?, shown: 0, ended: false }))
+    let input = input.as_ref();
+    let source = open_by_content(input, options)?;
+    // A stream of the network has no end that could be missing: that it stops is an error.
+    let passes = !matches!(Address::of(input), Ok(Some(Address::Stream)));
+    let mut info = source.info().clone();
+    let part = options.part;
+    if part != Part::WHOLE {
+        if let Some(times) = source.times() {
+            let shown = part.of(&times);
+            if shown.is_empty() {
+                return Err(no_such_part(input, part, times.last().copied()));
+            }
+            (info.before, info.frames, info.told) = (shown.start, Some(shown.len()), None);
+        } else {
+            (info.frames, info.told) = (None, None);
+        }
+    }
+    let name = input.to_owned();
+    Ok(Box::new(Ending {
+        source,
+        info,
+        name,
+        part,
+        passes,
+        shown: 0,
+        last: None,
+        ended: false,
+        damage: None,
+    }))
 }
 
-/// A source that has nothing more once it had no picture or an error.
+/// That a part of a clip, whose last picture is at `last` seconds, has none.
+fn no_such_part(input: &Path, part: Part, last: Option<f64>) -> FrameError {
+    let until = if part.until.is_finite() { format!(" until {:.3} s", part.until) } else { String::new() };
+    let last = last.map_or_else(String::new, |last| format!("; its last one is at {last:.3} s"));
+    let what = format!("{}: no picture lies from {:.3} s on{until}{last}", input.display(), part.from);
+    FrameError::Option { what }
+}
+
+/// The part of a source that is asked for. It has nothing more once it had no picture or an error, and damage behind the first
+/// picture ends it.
 struct Ending {
     source: Box<dyn FrameSource>,
-    /// Pictures so far.
+    info: ClipInfo,
+    name: PathBuf,
+    part: Part,
+    /// Whether damage ends it well.
+    passes: bool,
+    /// Pictures so far, and the time of the last of them.
     shown: usize,
+    last: Option<f64>,
     ended: bool,
+    /// What ended it.
+    damage: Option<String>,
+}
+
+impl Ending {
+    /// The next picture of the part; those before it are passed over.
+    fn next_of_part(&mut self) -> Result<Option<Frame>, FrameError> {
+        if self.last.is_none() && self.part.from > 0.0 && !self.part.numbered {
+            self.source.skip_to(self.part.from)?;
+        }
+        loop {
+            let Some(frame) = self.source.next_frame()? else {
+                return match self.shown {
+                    0 if self.part != Part::WHOLE => Err(no_such_part(&self.name, self.part, self.last)),
+                    _ => Ok(None),
+                };
+            };
+            if frame.time >= self.part.until - ROUNDED {
+                // A source whose times jump back has nothing more, either.
+                return match self.shown {
+                    0 => Err(no_such_part(&self.name, self.part, None)),
+                    _ => Ok(None),
+                };
+            }
+            self.last = Some(frame.time);
+            if frame.time >= self.part.from - ROUNDED {
+                return Ok(Some(frame));
+            }
+        }
+    }
 }
 
 impl FrameSource for Ending {
+    fn info(&self) -> &ClipInfo {
+        &self.info
+    }
+
+    fn set_max_side(&mut self, side: u32) {
+        self.source.set_max_side(side);
+    }
+
+    fn times(&self) -> Option<Vec<f64>> {
+        let times = self.source.times()?;
+        times.get(self.part.of(&times)).map(<[f64]>::to_vec)
+    }
+
+    fn next_frame(&mut self) -> Result<Option<Frame>, FrameError> {
+        if self.ended {
+            return Ok(None);
+        }
+        match self.next_of_part() {
+            Ok(Some(frame)) => {
+                self.shown += 1;
+                return Ok(Some(frame));
+            }
+            Ok(None) => {}
+            Err(error) => match error.damage().filter(|_| self.passes && self.shown > 0) {
+                Some(damage) => self.damage = Some(damage),
+                None => {
+                    self.ended = true;
+                    return Err(error);
+                }
+            },
+        }
+        self.ended = true;
+        Ok(None)
+    }
+
+    fn shortfall(&self) -> Option<String> {
+        let info = &self.info;
+        let told = info.told.or(info.frames).filter(|told| self.ended && self.shown < *told);
+        // What is wrong behind a part that is whole is of no matter.
+        let source = self.source.shortfall().filter(|_| self.part.until.is_infinite() || told.is_some());
+        let wrong: Vec<String> = source.into_iter().chain(self.damage.clone()).collect();
+        let last = self.last.unwrap_or(0.0);
+        let count = match told {
+            Some(told) => format!("of the {told} pictures that it tells of {} are there", self.shown),
+            None if wrong.is_empty() => return None,
+            None => format!("{} pictures are there, the last at {last:.3} s", self.shown),
+        };
+        Some(wrong.into_iter().chain([count]).collect::<Vec<_>>().join("; "))
+    }
+}
+
+/// A source that took the place of another one.
+struct Instead {
+    source: Box<dyn FrameSource>,
+    why: String,
+}
+
+impl FrameSource for Instead {
     fn info(&self) -> &ClipInfo {
         self.source.info()
     }
@@ -315,21 +528,26 @@ impl FrameSource for Ending {
         self.source.set_max_side(side);
     }
 
+    fn times(&self) -> Option<Vec<f64>> {
+        self.source.times()
+    }
+
+    fn skip_to(&mut self, seconds: f64) -> Result<(), FrameError> {
+        self.source.skip_to(seconds)
+    }
+
     fn next_frame(&mut self) -> Result<Option<Frame>, FrameError> {
-        if self.ended {
-            return Ok(None);
-        }
-        let frame = self.source.next_frame();
-        self.ended = !matches!(frame, Ok(Some(_)));
-        self.shown += usize::from(!self.ended);
-        frame
+        self.source.next_frame()
     }
 
     fn shortfall(&self) -> Option<String> {
-        let told = self.source.info().frames.filter(|told| self.ended && self.shown < *told);
-        let counted =
-            told.map(|told| format!("of the {told} pictures that it tells of {} are there", self.shown));
-        self.source.shortfall().or(counted)
+        Some(
+            [Some(self.why.clone()), self.source.shortfall()]
+                .into_iter()
+                .flatten()
+                .collect::<Vec<_>>()
+                .join("; "),
+        )
     }
 }
 
@@ -348,6 +566,9 @@ fn open_by_content(path: &Path, options: &OpenOptions) -> Result<Box<dyn FrameSo
         #[cfg(feature = "pictures")]
         Err(_) if name.contains(['*', '?', '[']) => {
             return Ok(Box::new(folder::FolderSource::from_pattern(&name, options)?));
+        }
+        Err(_) if name.contains('%') => {
+            return Ok(Box::new(folder::FolderSource::from_numbered(path, options)?));
         }
         Err(error) if error.kind() == io::ErrorKind::NotFound => {
             return Err(FrameError::NotFound { path: name });
@@ -392,10 +613,10 @@ fn open_by_content(path: &Path, options: &OpenOptions) -> Result<Box<dyn FrameSo
         Content::IsoMedia => open_iso(path, &name, options),
         Content::Other(container) => ffmpeg::open(path, &name, container, options),
         Content::Text => Err(FrameError::NotAVideo { path: name, what: "it is text".to_owned() }),
-        Content::Unknown => {
+        Content::Unknown => ffmpeg::open_unknown(path, &name, options).map_err(|_| {
             let bytes: Vec<String> = head.iter().take(8).map(|b| format!("{b:02x}")).collect();
-            Err(FrameError::NotAVideo { path: name, what: format!("it begins with {}", bytes.join(" ")) })
-        }
+            FrameError::NotAVideo { path: name.clone(), what: format!("it begins with {}", bytes.join(" ")) }
+        }),
     }
 }
 
@@ -408,7 +629,13 @@ fn open_iso(path: &Path, name: &str, options: &OpenOptions) -> Result<Box<dyn Fr
     }
     match mp4::Mp4Source::open(path, name, options) {
         Err(FrameError::UnsupportedCodec { codec, .. }) => ffmpeg::open(path, name, &codec, options),
-        other => Ok(Box::new(other?)),
+        Err(error) => match (error.damage(), ffmpeg::open(path, name, "mp4", options)) {
+            (Some(damage), Ok(source)) => {
+                Ok(Box::new(Instead { source, why: format!("{damage}; it was read through ffmpeg") }))
+            }
+            _ => Err(error),
+        },
+        Ok(source) => Ok(Box::new(source)),
     }
 }
 
@@ -420,6 +647,13 @@ fn open_iso(path: &Path, name: &str, options: &OpenOptions) -> Result<Box<dyn Fr
 fn check_options(options: &OpenOptions) -> Result<(), FrameError> {
     if !(options.rate.is_finite() && options.rate > 0.0 && options.rate <= 100_000.0) {
         let what = format!("frame rate {}; allowed are rates above 0 up to 100000 per second", options.rate);
+        return Err(FrameError::Option { what });
+    }
+    let Part { from, until, .. } = options.part;
+    if !(from >= 0.0 && from.is_finite() && until > from) {
+        let what = format!(
+            "a part from {from} to {until} s; allowed are parts that end behind where they begin, at 0 s or later"
+        );
         return Err(FrameError::Option { what });
     }
     match options.max_side {

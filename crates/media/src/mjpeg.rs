@@ -1,13 +1,13 @@
 //! AVI files of JPEG pictures.
 
 use std::fs::File;
-use std::io::{self, BufReader, Cursor, Read, Seek, SeekFrom};
+use std::io::{self, BufReader, Cursor, Read, Seek};
 use std::path::Path;
 
-use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader};
+use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, RgbImage};
 
 use super::{ClipInfo, Frame, FrameError, FrameSource, OpenOptions, animation, check_size};
-use handcast_limits::Limits;
+use handcast_limits::{Excess, Limit, Limits};
 use handcast_picture::Shrinker;
 
 /// Largest compressed picture accepted, in bytes.
@@ -15,21 +15,30 @@ const MAX_CHUNK: u32 = 1 << 26;
 /// Deepest nesting of lists looked into.
 const MAX_DEPTH: usize = 4;
 
-/// Frames of an AVI file with Motion JPEG, read forwards.
+/// Frames of an AVI file with Motion JPEG.
 pub(super) struct MjpegSource {
     name: String,
     reader: BufReader<File>,
-    length: u64,
     info: ClipInfo,
     period: f64,
-    stream: u32,
-    /// End of the list of pictures.
-    end: u64,
+    chunks: Vec<Chunk>,
     shrinker: Shrinker,
     limits: Limits,
     chunk: Vec<u8>,
     index: usize,
-    /// Pictures so far, those included that are shown once more.
+    /// What is wrong with the lists of pictures.
+    cut: Option<String>,
+    /// How many pictures could not be decoded, and what is wrong with the first of them.
+    lost: usize,
+    damage: Option<(Chunk, FrameError)>,
+}
+
+/// A compressed picture.
+#[derive(Clone, Copy, Debug)]
+struct Chunk {
+    at: u64,
+    size: u32,
+    /// Pictures before it, those included that are shown once more.
     tick: usize,
 }
 
@@ -51,7 +60,8 @@ impl MjpegSource {
         let io = |source| FrameError::Io { path: name.to_owned(), source };
         let file = File::open(path).map_err(io)?;
         let length = file.metadata().map_err(io)?.len();
-        let mut reader = BufReader::new(file);
+        // Of the lists the heads of chunks alone are read.
+        let mut reader = BufReader::with_capacity(1 << 10, file);
         let mut headers = Headers::default();
         walk(&mut reader, 12, length, 0, &mut headers).map_err(|source| match source.kind() {
             io::ErrorKind::UnexpectedEof => {
@@ -86,49 +96,179 @@ impl MjpegSource {
             (_, _, 1..) => f64::from(headers.micros) * 1e-6,
             _ => 1.0 / options.rate,
         };
-        reader.seek(SeekFrom::Start(start)).map_err(io)?;
+        let lists = Lists { length, stream, end, tick: 0, repeated: 0, chunks: Vec::new(), damage: None };
+        let lists = lists.read(&mut reader, start, &options.limits).map_err(|fault| match fault {
+            Fault::Io(source) => io(source),
+            Fault::Excess(excess) => FrameError::Excess { path: name.to_owned(), excess },
+        })?;
+        if let (true, Some(what)) = (lists.chunks.is_empty(), &lists.damage) {
+            return Err(FrameError::Truncated { path: name.to_owned(), what: what.clone() });
+        }
+        let told = headers.frames.map(|told| (told as usize).saturating_sub(lists.repeated));
         Ok(Self {
             name: name.to_owned(),
-            reader,
-            length,
+            reader: BufReader::new(reader.into_inner()),
             info: ClipInfo {
                 width,
                 height,
                 rate: Some(1.0 / period),
-                frames: headers.frames.map(|n| n as usize),
+                frames: Some(lists.chunks.len()),
+                told: told.filter(|told| *told > lists.chunks.len()),
                 format: "avi mjpeg".to_owned(),
                 ..ClipInfo::default()
             },
             period,
-            stream,
-            end,
+            chunks: lists.chunks,
+            cut: lists.damage,
+            lost: 0,
+            damage: None,
             shrinker: Shrinker::new(options.max_side),
             limits: options.limits.clone(),
             chunk: Vec::new(),
             index: 0,
-            tick: 0,
         })
     }
 }
 
 impl MjpegSource {
-    /// Goes to the next list of pictures, if there is one: files above a gigabyte have several, each in a RIFF of its own
+    /// The picture of a chunk.
+    fn picture(&mut self, Chunk { at, size, .. }: Chunk) -> Result<RgbImage, FrameError> {
+        let malformed = |what: String| FrameError::Malformed { path: self.name.clone(), what };
+        if size > MAX_CHUNK {
+            return Err(malformed(format!("it has {size} bytes; allowed are {MAX_CHUNK}")));
+        }
+        let io = |source| FrameError::Io { path: self.name.clone(), source };
+        self.chunk.resize(size as usize, 0);
+        go_to(&mut self.reader, at).map_err(io)?;
+        self.reader.read_exact(&mut self.chunk).map_err(io)?;
+        let wrong = |error| animation::translate(&self.name, error);
+        let mut reader = ImageReader::with_format(Cursor::new(&self.chunk), ImageFormat::Jpeg);
+        reader.limits(animation::decoder_limits(&self.limits));
+        let decoder = reader.into_decoder().map_err(wrong)?;
+        // Before memory is taken for what it says.
+        if decoder.dimensions() != (self.info.width, self.info.height) {
+            return Err(malformed("it has another size than the stream".to_owned()));
+        }
+        DynamicImage::from_decoder(decoder).map(DynamicImage::into_rgb8).map_err(wrong)
+    }
+}
+
+/// Why lists of pictures are not read.
+enum Fault {
+    Io(io::Error),
+    Excess(Excess),
+}
+
+impl From<io::Error> for Fault {
+    fn from(error: io::Error) -> Self {
+        Self::Io(error)
+    }
+}
+
+/// The lists of pictures of a file, while they are read.
+struct Lists {
+    /// Bytes of the file.
+    length: u64,
+    /// Number of the stream of pictures.
+    stream: u32,
+    /// Where the list ends.
+    end: u64,
+    tick: usize,
+    /// How many chunks show the picture before once more.
+    repeated: usize,
+    chunks: Vec<Chunk>,
+    damage: Option<String>,
+}
+
+impl Lists {
+    /// Reads the heads of the chunks from `at` on.
+    fn read(mut self, reader: &mut BufReader<File>, mut at: u64, limits: &Limits) -> Result<Self, Fault> {
+        loop {
+            if at + 8 > self.end.min(self.length) {
+                match self.next_list(reader)? {
+                    Some(next) => at = next,
+                    None => break,
+                }
+                continue;
+            }
+            go_to(reader, at)?;
+            let (kind, size) = chunk_header(reader)?;
+            if &kind == b"LIST" {
+                // A group of chunks; its members follow after the name of the list.
+                at += 12;
+                continue;
+            }
+            let is_sound = kind.iter().all(|byte| byte.is_ascii_graphic() || *byte == b' ');
+            if !is_sound || at + 8 + u64::from(size) > self.length {
+                let what = if is_sound { "cut" } else { "damaged" };
+                let number = self.chunks.len();
+                self.damage
+                    .get_or_insert_with(|| format!("frame {number} at byte {at} of the file is {what}"));
+                self.tick += 1;
+                match self.look_for_picture(reader, at + 1)? {
+                    Some(next) => at = next,
+                    None => break,
+                }
+                continue;
+            }
+            if self.is_picture(&kind) && size == 0 {
+                // The picture before is shown once more.
+                self.tick += 1;
+                self.repeated += 1;
+            } else if self.is_picture(&kind) {
+                limits.check_count(Limit::Pictures, self.chunks.len() + 1).map_err(Fault::Excess)?;
+                self.chunks.push(Chunk { at: at + 8, size, tick: self.tick });
+                self.tick += 1;
+            }
+            at = behind(at, size);
+        }
+        Ok(self)
+    }
+
+    fn is_picture(&self, kind: &[u8]) -> bool {
+        let digits = kind.get(..2).and_then(|two| std::str::from_utf8(two).ok()).and_then(|t| t.parse().ok());
+        digits == Some(self.stream) && matches!(kind.get(2..4), Some(b"dc" | b"db"))
+    }
+
+    /// The next list of pictures, if there is one: files above a gigabyte have several, each in a RIFF of its own
     /// (OpenDML).
-    fn next_list(&mut self) -> io::Result<bool> {
+    fn next_list(&mut self, reader: &mut BufReader<File>) -> io::Result<Option<u64>> {
         let mut at = self.end;
         while at + 12 <= self.length {
-            go_to(&mut self.reader, at)?;
-            let (kind, size) = chunk_header(&mut self.reader)?;
+            go_to(reader, at)?;
+            let (kind, size) = chunk_header(reader)?;
             let mut name = [0u8; 4];
-            self.reader.read_exact(&mut name)?;
+            reader.read_exact(&mut name)?;
             if &kind == b"LIST" && &name == b"movi" {
                 self.end = end_of(at, size, self.length);
-                return Ok(true);
+                return Ok(Some(at + 12));
             }
             // What is in a RIFF comes behind its name.
             at = if &kind == b"RIFF" { at + 12 } else { behind(at, size) };
         }
-        Ok(false)
+        Ok(None)
+    }
+
+    /// Where from `at` on, in this list, the next chunk begins that has a whole JPEG picture.
+    fn look_for_picture(&self, reader: &mut BufReader<File>, mut at: u64) -> io::Result<Option<u64>> {
+        const HEAD: usize = 10;
+        let end = self.end.min(self.length);
+        let mut block = Vec::new();
+        while at + (HEAD as u64) < end {
+            go_to(reader, at)?;
+            block.clear();
+            reader.by_ref().take((end - at).min(1 << 16)).read_to_end(&mut block)?;
+            let found = block.windows(HEAD).position(|head| {
+                let size = head.get(4..8).and_then(|size| <[u8; 4]>::try_from(size).ok());
+                let whole = |size| at + 8 + u64::from(u32::from_le_bytes(size)) <= end;
+                self.is_picture(head) && head.ends_with(&[0xff, 0xd8]) && size.is_some_and(whole)
+            });
+            if let Some(found) = found {
+                return Ok(Some(at + found as u64));
+            }
+            at += (block.len() + 1).saturating_sub(HEAD).max(1) as u64;
+        }
+        Ok(None)
     }
 }
 
@@ -141,68 +281,48 @@ impl FrameSource for MjpegSource {
         self.shrinker.limit(side);
     }
 
+    fn times(&self) -> Option<Vec<f64>> {
+        Some(self.chunks.iter().map(|chunk| chunk.tick as f64 * self.period).collect())
+    }
+
+    fn skip_to(&mut self, seconds: f64) -> Result<(), FrameError> {
+        // With one to spare for times that are rounded.
+        let at = self.chunks.partition_point(|chunk| chunk.tick as f64 * self.period < seconds);
+        self.index = at.saturating_sub(1);
+        Ok(())
+    }
+
     fn next_frame(&mut self) -> Result<Option<Frame>, FrameError> {
-        let truncated = |index: usize, path: &str| FrameError::Truncated {
-            path: path.to_owned(),
-            what: format!("frame {index} is cut"),
-        };
-        loop {
-            let io = |source| FrameError::Io { path: self.name.clone(), source };
-            let at = self.reader.stream_position().map_err(io)?;
-            if at + 8 > self.end {
-                match self.next_list() {
-                    Ok(true) => continue,
-                    Ok(false) => return Ok(None),
-                    Err(source) => return Err(FrameError::Io { path: self.name.clone(), source }),
-                }
-            }
-            if at + 8 > self.length {
-                return Err(truncated(self.index, &self.name));
-            }
-            let (kind, size) = chunk_header(&mut self.reader).map_err(io)?;
-            if &kind == b"LIST" {
-                // A group of chunks; its members follow after the name of the list.
-                self.reader.seek_relative(4).map_err(io)?;
-                continue;
-            }
-            let padded = i64::from(size) + i64::from(size & 1);
-            let digits = std::str::from_utf8(&kind[..2]).ok().and_then(|t| t.parse::<u32>().ok());
-            if digits != Some(self.stream) || !matches!(&kind[2..], b"dc" | b"db") {
-                self.reader.seek_relative(padded).map_err(io)?;
-                continue;
-            }
-            if size == 0 {
-                // The picture before is shown once more.
-                self.tick += 1;
-                self.info.frames = self.info.frames.map(|told| told.saturating_sub(1));
-                continue;
-            }
-            if at + 8 + u64::from(size) > self.length {
-                return Err(truncated(self.index, &self.name));
-            }
-            if size > MAX_CHUNK {
-                let what = format!("frame {} has {size} bytes; allowed are {MAX_CHUNK}", self.index);
-                return Err(FrameError::Malformed { path: self.name.clone(), what });
-            }
-            self.chunk.resize(size as usize, 0);
-            self.reader.read_exact(&mut self.chunk).map_err(io)?;
-            self.reader.seek_relative(padded - i64::from(size)).map_err(io)?;
-            let wrong = |error| animation::translate(&self.name, error);
-            let mut reader = ImageReader::with_format(Cursor::new(&self.chunk), ImageFormat::Jpeg);
-            reader.limits(animation::decoder_limits(&self.limits));
-            let decoder = reader.into_decoder().map_err(wrong)?;
-            // Before memory is taken for what it says.
-            if decoder.dimensions() != (self.info.width, self.info.height) {
-                let what = format!("frame {} has another size than the stream", self.index);
-                return Err(FrameError::Malformed { path: self.name.clone(), what });
-            }
-            let image = DynamicImage::from_decoder(decoder).map(DynamicImage::into_rgb8).map_err(wrong)?;
-            let image = self.shrinker.rgb(image);
-            let frame = Frame { index: self.index, time: self.tick as f64 * self.period, image };
+        while let Some(&chunk) = self.chunks.get(self.index) {
+            let index = self.index;
             self.index += 1;
-            self.tick += 1;
-            return Ok(Some(frame));
+            match self.picture(chunk) {
+                Ok(image) => {
+                    let time = chunk.tick as f64 * self.period;
+                    return Ok(Some(Frame { index, time, image: self.shrinker.rgb(image) }));
+                }
+                Err(error) if error.damage().is_some() => {
+                    self.lost += 1;
+                    self.damage.get_or_insert((chunk, error));
+                }
+                Err(error) => return Err(error),
+            }
         }
+        // Where there was none at all what is wrong with the first is.
+        match self.damage.take_if(|_| self.lost == self.chunks.len()) {
+            Some((_, error)) => Err(error),
+            None => Ok(None),
+        }
+    }
+
+    fn shortfall(&self) -> Option<String> {
+        let more = if self.lost > 1 { format!(" (and {} more)", self.lost - 1) } else { String::new() };
+        let damage = self.damage.as_ref().and_then(|(chunk, error)| {
+            let time = chunk.tick as f64 * self.period;
+            error.damage().map(|what| format!("frame {} at {time:.3} s: {what}{more}", chunk.tick))
+        });
+        let said: Vec<String> = self.cut.iter().cloned().chain(damage).collect();
+        (!said.is_empty()).then(|| said.join("; "))
     }
 }
 

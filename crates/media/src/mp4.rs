@@ -1,16 +1,17 @@
 //! H.264 in MP4 and MOV, demuxed and decoded in the process.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
 use std::io::{BufReader, Read, Seek, SeekFrom};
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use handcast_limits::Limits;
 use image::RgbImage;
 use image::imageops::{self, FilterType};
 use rusty_h264::{DecodeError, Decoder, YuvFrame};
 
+use super::ffmpeg;
 use super::iso::{self, Fault, Movie};
 use super::rate::nominal_rate;
 use super::sps;
@@ -73,12 +74,25 @@ pub(super) struct Mp4Source {
     square: [f64; 2],
     turn: Turn,
     max_side: Option<u32>,
-    limits: Limits,
     /// Decoded pictures that wait for an earlier one, by rank.
     waiting: BTreeMap<usize, (f64, RgbImage)>,
     next_rank: usize,
-    index: usize,
     annex_b: Vec<u8>,
+    /// In which way the file is cut.
+    cut: Option<String>,
+    /// Pictures that could not be decoded: their ranks until their turn has come, how many, and what is wrong with the first.
+    lost: BTreeSet<usize>,
+    lost_in_all: usize,
+    damage: Option<String>,
+    /// Whether the decoder has had nothing yet.
+    is_fresh: bool,
+    /// When pictures are shown, by rank.
+    times: Vec<f64>,
+    /// What goes on in place of the decoder, where the helper program has been asked for that.
+    helper: Option<Box<dyn FrameSource>>,
+    asked: bool,
+    path: PathBuf,
+    options: OpenOptions,
 }
 
 /// A picture out of the decoder, and where it belongs.
@@ -128,7 +142,6 @@ impl Mp4Source {
         let rate = nominal_rate(&times);
         let (turn, square) = (turn_of(movie.matrix), square(movie.pixel.or(vui.pixel).unwrap_or([1; 2])));
         let (width, height) = turn.size(shrunk(coded, square));
-        let frames = Some(times.len());
         let mut source = Self {
             name: name.to_owned(),
             file,
@@ -136,10 +149,11 @@ impl Mp4Source {
                 width,
                 height,
                 rate,
-                frames,
+                frames: Some(times.len()),
                 format: "mp4 h264".to_owned(),
                 start: movie.start,
-                notes: movie.notes.clone(),
+                told: movie.told,
+                ..ClipInfo::default()
             },
             samples,
             next_sample: 0,
@@ -152,23 +166,101 @@ impl Mp4Source {
             square,
             turn,
             max_side: options.max_side,
-            limits: options.limits.clone(),
             waiting: BTreeMap::new(),
             next_rank: 0,
-            index: 0,
             annex_b: Vec::new(),
+            cut: movie.cut.clone(),
+            lost: BTreeSet::new(),
+            lost_in_all: 0,
+            damage: None,
+            is_fresh: true,
+            times,
+            helper: None,
+            asked: false,
+            path: path.to_owned(),
+            options: options.clone(),
         };
-        // What the decoder cannot do shows in the first picture.
-        let first = source.decode_next()?;
-        let size = source.size_of(&first)?;
-        (source.info.width, source.info.height) = turn.size(shrunk(size, square));
-        source.first = Some(first);
+        source.decode_first()?;
         Ok(source)
+    }
+
+    /// Decodes the first picture: what the decoder cannot do shows in it. Where it is damaged the helper program takes the
+    /// clip, or else the first picture is one behind it.
+    fn decode_first(&mut self) -> Result<(), FrameError> {
+        let mut wrong = None;
+        let first = loop {
+            match self.decode_next() {
+                Ok(first) => break first,
+                Err(error @ FrameError::Malformed { .. }) if self.next_sample < self.samples.len() => {
+                    if wrong.is_none() && self.ask_helper(&error) {
+                        return Ok(());
+                    }
+                    self.pass_over(&error);
+                    wrong.get_or_insert(error);
+                }
+                Err(error) => return Err(wrong.unwrap_or(error)),
+            }
+        };
+        let size = self.size_of(&first)?;
+        (self.info.width, self.info.height) = self.turn.size(shrunk(size, self.square));
+        self.first = Some(first);
+        Ok(())
+    }
+
+    /// Lets the helper program go on behind the pictures that were given, if it can.
+    fn ask_helper(&mut self, error: &FrameError) -> bool {
+        if self.asked || self.options.ffmpeg.is_none() {
+            return false;
+        }
+        self.asked = true;
+        let options = OpenOptions { max_side: self.max_side, ..self.options.clone() };
+        let Ok(helper) = ffmpeg::open(&self.path, &self.name, "mp4", &options) else { return false };
+        let [ours, its] = [&self.info, helper.info()].map(|info| (info.width, info.height));
+        if self.next_rank == 0 {
+            (self.info.width, self.info.height) = its;
+        } else if ours != its {
+            return false;
+        }
+        self.damage = error.damage().map(|what| format!("{what}; from there on it was read through ffmpeg"));
+        self.waiting.clear();
+        self.helper = Some(helper);
+        true
+    }
+
+    /// The next picture of the helper program behind those that were given.
+    fn helped(&mut self) -> Result<Option<Frame>, FrameError> {
+        let Some(helper) = &mut self.helper else { return Ok(None) };
+        while let Some(frame) = helper.next_frame()? {
+            let after = self.times.partition_point(|time| *time < frame.time);
+            let off = |rank: &usize| self.times.get(*rank).map_or(f64::INFINITY, |t| (t - frame.time).abs());
+            let nearest =
+                [after.saturating_sub(1), after].into_iter().min_by(|a, b| off(a).total_cmp(&off(b)));
+            let rank = nearest.unwrap_or(after);
+            if let Some(time) = self.times.get(rank).filter(|_| rank >= self.next_rank) {
+                self.next_rank = rank + 1;
+                return Ok(Some(Frame { index: rank, time: *time, ..frame }));
+            }
+        }
+        Ok(None)
+    }
+
+    /// Leaves out the picture that was tried last.
+    fn pass_over(&mut self, error: &FrameError) {
+        let rank = self.next_sample.checked_sub(1).and_then(|at| self.samples.get(at)).and_then(|s| s.rank);
+        if let Some(rank) = rank {
+            self.lost.insert(rank);
+            self.lost_in_all += 1;
+        }
+        if self.damage.is_none() {
+            self.damage = error.damage();
+        }
     }
 
     /// An error in the compressed picture with this number, in decoding order.
     fn malformed(&self, number: usize, what: impl std::fmt::Display) -> FrameError {
-        FrameError::Malformed { path: self.name.clone(), what: format!("frame {number}: {what}") }
+        let at =
+            self.samples.get(number).map_or_else(String::new, |s| format!(" at {:.3} s", s.time.max(0.0)));
+        FrameError::Malformed { path: self.name.clone(), what: format!("frame {number}{at}: {what}") }
     }
 
     /// Decodes the next sample; there must be one.
@@ -180,8 +272,12 @@ impl Mp4Source {
         self.next_sample += 1;
         self.read_sample(number, sample)?;
         let (decoder, annex_b) = (&mut self.decoder, &self.annex_b);
-        let decoded = catch_unwind(AssertUnwindSafe(|| decoder.decode(annex_b)))
-            .map_err(|_| self.malformed(number, "the decoder broke down on it"))?;
+        let Ok(decoded) = catch_unwind(AssertUnwindSafe(|| decoder.decode(annex_b))) else {
+            self.decoder = Decoder::new();
+            self.is_fresh = true;
+            return Err(self.malformed(number, "the decoder broke down on it"));
+        };
+        self.is_fresh = false;
         match decoded {
             Ok(Some(picture)) => Ok(Decoded { number, sample, picture }),
             // A sample without a picture leaves a gap in presentation order.
@@ -195,7 +291,7 @@ impl Mp4Source {
         }
     }
 
-    /// Reads a sample into `annex_b`: start codes in place of lengths, the parameter sets before the first.
+    /// Reads a sample into `annex_b`: start codes in place of lengths, the parameter sets before what a decoder gets first.
     fn read_sample(&mut self, number: usize, sample: Sample) -> Result<(), FrameError> {
         let name = &self.name;
         let io = |source| FrameError::Io { path: name.clone(), source };
@@ -203,7 +299,7 @@ impl Mp4Source {
         let mut data = vec![0; sample.size];
         self.file.read_exact(&mut data).map_err(io)?;
         self.annex_b.clear();
-        if number == 0 {
+        if self.is_fresh {
             self.annex_b.extend_from_slice(&self.parameter_sets);
         }
         let mut rest = data.as_slice();
@@ -215,7 +311,7 @@ impl Mp4Source {
             let (unit, after) = after
                 .split_at_checked(size)
                 .ok_or_else(|| self.malformed(number, "a NAL unit is longer than its picture"))?;
-            check_unit(&self.name, unit, &self.limits)?;
+            check_unit(&self.name, unit, &self.options.limits)?;
             self.annex_b.extend_from_slice(&[0, 0, 0, 1]);
             self.annex_b.extend_from_slice(unit);
             rest = after;
@@ -223,9 +319,38 @@ impl Mp4Source {
         Ok(())
     }
 
+    /// Whether decoding can begin with a sample: its first slice is one of an IDR picture (ISO/IEC 14496-10, table 7-1).
+    fn stands_alone(&mut self, number: usize) -> bool {
+        const SLICE: u8 = 1;
+        const SLICE_OF_IDR: u8 = 5;
+        let Some(sample) = self.samples.get(number).copied() else { return false };
+        let mut at = 0usize;
+        while at + self.length_size < sample.size {
+            let mut head = vec![0; self.length_size + 1];
+            let place = SeekFrom::Start(sample.offset + at as u64);
+            if self.file.seek(place).and_then(|_| self.file.read_exact(&mut head)).is_err() {
+                return false;
+            }
+            let Some((&kind, size)) = head.split_last() else { return false };
+            match kind & 31 {
+                SLICE_OF_IDR => return true,
+                SLICE..SLICE_OF_IDR => return false,
+                _ => {}
+            }
+            let size = size.iter().fold(0usize, |sum, &b| sum << 8 | usize::from(b));
+            at = at.saturating_add(self.length_size).saturating_add(size);
+        }
+        false
+    }
+
     /// Width and height of a decoded picture, before any turn.
     fn size_of(&self, decoded: &Decoded) -> Result<(u32, u32), FrameError> {
-        check_size(&self.name, decoded.picture.width as u64, decoded.picture.height as u64, &self.limits)
+        check_size(
+            &self.name,
+            decoded.picture.width as u64,
+            decoded.picture.height as u64,
+            &self.options.limits,
+        )
     }
 
     /// Puts a decoded picture among those that wait for their turn.
@@ -268,15 +393,49 @@ impl FrameSource for Mp4Source {
         self.max_side = Some(self.max_side.map_or(side, |own| own.min(side)));
     }
 
+    fn times(&self) -> Option<Vec<f64>> {
+        Some(self.times.clone())
+    }
+
+    fn skip_to(&mut self, seconds: f64) -> Result<(), FrameError> {
+        if let Some(helper) = &mut self.helper {
+            helper.skip_to(seconds)?;
+            self.next_rank = self.times.partition_point(|time| *time < seconds).saturating_sub(1);
+            return Ok(());
+        }
+        let wanted = |sample: &Sample| sample.rank.is_some() && sample.time >= seconds - 1e-3;
+        let Some(mut begin) = self.samples.iter().position(wanted) else { return Ok(()) };
+        while begin >= self.next_sample && !self.stands_alone(begin) {
+            begin -= 1;
+        }
+        // What has been decoded already leads there.
+        if begin < self.next_sample {
+            return Ok(());
+        }
+        let Some(rank) = self.samples.get(begin..).unwrap_or_default().iter().filter_map(|s| s.rank).min()
+        else {
+            return Ok(());
+        };
+        (self.next_sample, self.next_rank) = (begin, rank);
+        (self.decoder, self.is_fresh, self.first) = (Decoder::new(), true, None);
+        self.lost.clear();
+        Ok(())
+    }
+
     fn next_frame(&mut self) -> Result<Option<Frame>, FrameError> {
+        if self.helper.is_some() {
+            return self.helped();
+        }
         if let Some(first) = self.first.take() {
             self.keep(first)?;
         }
         loop {
-            if let Some((time, image)) = self.waiting.remove(&self.next_rank) {
-                let frame = Frame { index: self.index, time, image };
+            while self.lost.remove(&self.next_rank) {
                 self.next_rank += 1;
-                self.index += 1;
+            }
+            if let Some((time, image)) = self.waiting.remove(&self.next_rank) {
+                let frame = Frame { index: self.next_rank, time, image };
+                self.next_rank += 1;
                 return Ok(Some(frame));
             }
             if self.next_sample >= self.samples.len() {
@@ -286,14 +445,37 @@ impl FrameSource for Mp4Source {
             if self.waiting.len() > MAX_WAITING
                 || self.waiting.values().map(pixels).sum::<u64>() > MAX_WAITING_PIXELS
             {
-                return Err(FrameError::Malformed {
-                    path: self.name.clone(),
-                    what: format!("time stamps reorder {} pictures or more", self.waiting.len()),
-                });
+                let what = format!("time stamps reorder {} pictures or more", self.waiting.len());
+                return Err(FrameError::Malformed { path: self.name.clone(), what });
             }
-            let next = self.decode_next()?;
-            self.keep(next)?;
+            match self.decode_next().and_then(|next| self.keep(next)) {
+                Ok(()) => {}
+                Err(error @ (FrameError::Malformed { .. } | FrameError::UnsupportedCodec { .. })) => {
+                    if self.ask_helper(&error) {
+                        return self.helped();
+                    }
+                    let FrameError::Malformed { .. } = error else { return Err(error) };
+                    self.pass_over(&error);
+                }
+                Err(error) => return Err(error),
+            }
         }
+    }
+
+    fn shortfall(&self) -> Option<String> {
+        let lost = match self.lost_in_all {
+            0 => None,
+            1 => Some("a picture could not be decoded".to_owned()),
+            lost => Some(format!("{lost} pictures could not be decoded, the first")),
+        };
+        let damage = match (lost, &self.damage) {
+            (Some(lost), Some(damage)) => Some(format!("{lost}: {damage}")),
+            (lost, damage) => lost.or_else(|| damage.clone()),
+        };
+        let cut = self.cut.as_ref().map(|cut| format!("truncated: {cut}"));
+        let its = self.helper.as_ref().and_then(|helper| helper.shortfall());
+        let said: Vec<String> = [cut, damage, its].into_iter().flatten().collect();
+        (!said.is_empty()).then(|| said.join("; "))
     }
 }
 

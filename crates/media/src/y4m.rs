@@ -111,7 +111,6 @@ impl Y4mSource {
         })
     }
 
-    /// Replaces the name of the format shown to people.
     /// Tells where its pictures come from, and the seconds of the file at which they begin.
     pub(super) fn set_origin(&mut self, format: String, start: f64) {
         self.info.format = format;

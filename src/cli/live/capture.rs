@@ -12,6 +12,8 @@ use handcast_media::{
     Address, Camera, CameraOptions, ClipInfo, Frame, FrameSource, OpenOptions, cameras, open, open_camera,
 };
 
+use crate::cli::common::tell_shortfall;
+
 /// Where pictures come from.
 pub struct Source {
     frames: Box<dyn FrameSource>,
@@ -177,6 +179,10 @@ fn read(mut source: Source, slot: &Slot, stop: &AtomicBool) -> anyhow::Result<()
             next => next?,
         };
         let Some(frame) = next else {
+            // Once, not in each round.
+            if let (Some((path, ..)), true) = (&source.clip, offset == 0.0) {
+                tell_shortfall(path, source.frames.shortfall().as_deref());
+            }
             match &source.clip {
                 Some((name, options, true)) if index > 0 => {
                     source.frames = open(name, options)?;

@@ -98,19 +98,23 @@ fn fragments_go_on_where_the_tables_end() {
     let found: Vec<_> = movie.pictures[5..].iter().map(|p| (p.offset - at, p.size, p.time)).collect();
     // Behind the other track's two pictures, from byte 50 of the fragment on.
     assert_eq!(found, [(65, 10, 100), (75, 10, 103), (85, 4, 112)]);
-    assert!(movie.notes.is_empty());
+    assert_eq!((movie.cut, movie.told), (None, None));
     // A recording that broke off within the last of these pictures.
     let file = file(160);
     let cut = read_all(&file[..begun.len() + 160 + 15 + 20 + 3]).unwrap();
     assert_eq!(cut.pictures, read_all(&file).unwrap().pictures[..7]);
-    assert!(
-        cut.notes[0].starts_with("cut off, of 8 pictures that it tells of 7 are there"),
-        "{:?}",
-        cut.notes
-    );
+    assert_eq!(cut.told, Some(8));
+    assert!(cut.cut.as_deref().is_some_and(|what| what.starts_with("the box mdat at byte")), "{:?}", cut.cut);
     // Within the tables of a fragment nothing is known of it.
-    let before = read_all(&file[..begun.len() + 20]);
-    assert!(matches!(before, Err(Fault::Truncated(_))), "{before:?}");
+    let before = read_all(&file[..begun.len() + 20]).unwrap();
+    assert_eq!((before.pictures.len(), before.told), (5, None));
+    assert!(before.cut.is_some_and(|what| what.contains("the box moof")));
+    // One that is damaged ends what is told.
+    let mut damaged = file.clone();
+    damaged[begun.len() + 8 + 3] = 0xff;
+    let before = read_all(&damaged).unwrap();
+    assert_eq!((before.pictures.len(), before.told), (5, None));
+    assert!(before.cut.is_some_and(|what| what.contains("the fragment at byte")));
 }
 
 #[test]
@@ -127,7 +131,7 @@ fn tables_that_say_more_than_there_is_are_refused() {
         (Tables { stsc: table(b"stsc", &[1, 2, 3, 1]), ..five() }, "first chunk"),
         (Tables { stsc: table(b"stsc", &[1, 0, 0, 1]), ..five() }, "chunks hold fewer"),
         (Tables { stco: table(b"stco", &[1, 100]), ..five() }, "chunks hold fewer"),
-        (Tables { stco: table(b"stco", &[2, 100, u32::MAX]), ..five() }, "frame 3 of 5 lies beyond"),
+        (Tables { stco: table(b"stco", &[2, u32::MAX, 100]), ..five() }, "frame 0 of 5 lies beyond"),
         (Tables { stco: Vec::new(), ..five() }, "neither a box stco nor co64"),
         (Tables { stco: table(b"co64", &[2, u32::MAX, u32::MAX, u32::MAX, u32::MAX]), ..five() }, "beyond"),
         (Tables { stsz: words(&[0, 0x7374_737a]), ..five() }, "the inner box stsz says it has 0 bytes"),

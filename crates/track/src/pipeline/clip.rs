@@ -283,10 +283,14 @@ fn segment(
     }
 }
 
+/// The mask of a frame: of its number, where the clip has left out pictures or is a part.
 fn mask_for(frame: &Frame, masks: &mut dyn FrameSource) -> Result<image::GrayImage, ClipError> {
-    match masks.next_frame()? {
-        Some(mask) => Ok(grayscale(&mask.image)),
-        None => Err(ClipError::NoMask { masks: masks.info().format.clone(), index: frame.index }),
+    loop {
+        match masks.next_frame()? {
+            Some(mask) if mask.index < frame.index => {}
+            Some(mask) if mask.index == frame.index => return Ok(grayscale(&mask.image)),
+            _ => return Err(ClipError::NoMask { masks: masks.info().format.clone(), index: frame.index }),
+        }
     }
 }
 

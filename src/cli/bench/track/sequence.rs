@@ -13,6 +13,7 @@ use handcast_vision::{Mask, SegmentOptions, Segmenter};
 use image::RgbImage;
 
 use super::Silhouettes;
+use crate::cli::common::tell_shortfall;
 
 /// One frame as trackers see it, and what is known of it.
 pub struct Sighting {
@@ -134,6 +135,7 @@ impl Clip {
         let limit = self.frames.unwrap_or(usize::MAX);
         let clip = track_clip(Limited { source, left: limit }, None, &options, &mut keeper)
             .with_context(|| path.display().to_string())?;
+        tell_shortfall(path, clip.shortfall.as_deref());
         let (Some(start), Some(track)) = (keeper.start, clip.hands.into_iter().next()) else {
             bail!("{}: no hand", path.display());
         };
@@ -173,6 +175,10 @@ impl<S: FrameSource> FrameSource for Limited<S> {
         }
         self.left -= 1;
         self.source.next_frame()
+    }
+
+    fn shortfall(&self) -> Option<String> {
+        self.source.shortfall()
     }
 }
 
