@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{bail, ensure};
 use glob::Pattern;
-use handcast_corpus::{Choice, Corpus, EncodeSettings, Item, Outcome, Report, Settings, Worker};
+use handcast_corpus::{Choice, Corpus, Item, Outcome, Report, Settings, Worker};
 use indicatif::{HumanDuration, ProgressBar, ProgressStyle};
 
 use super::common::{RateArgs, limits, progress};
@@ -58,9 +58,7 @@ pub fn cores() -> usize {
 pub fn run(args: &Args) -> anyhow::Result<()> {
     let show = !args.track.quiet && !args.track.json;
     let (track, finder) = args.track.settings()?;
-    let plan = args.rate.plan();
-    let settings =
-        Settings { track, encode: EncodeSettings::of(&plan, args.rate.profile.into(), args.rate.no_sizes) };
+    let settings = Settings { track, encode: args.rate.settings() };
     let mut choice = Choice::default();
     choice.only.clone_from(&args.only);
     choice.checksum = args.checksum;

@@ -6,7 +6,9 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use handcast_codec::notices;
-use handcast_codec::{PoseEncoder, PoseEncoderOptions, PosesToStreamError, TipError, poses_on_ticks};
+use handcast_codec::{
+    EncodedEnd, PoseEncoder, PoseEncoderOptions, PosesToStreamError, TipError, poses_on_ticks,
+};
 use handcast_fba::bap::{StepTable, epf, text};
 use handcast_fba::plan::{PlanOptions, PlanReport};
 use handcast_fba::{DecoderOptions, EncodeError, encode_epf};
@@ -112,16 +114,19 @@ fn encode(args: &Args) -> anyhow::Result<()> {
         );
     }
     let start = start_of(&motion.clip, args);
-    let (stream, report, tips) = match &motion.baps {
+    let coded = match &motion.baps {
         Some(baps) => {
-            given::note_idle(format_args!("{name} has its values in BAPs of its own"), &["profile"]);
+            given::note_idle(
+                format_args!("{name} has its values in BAPs of its own"),
+                &["profile", "max_gap"],
+            );
             // What the stream before told of hands travels on.
             if args.rate.no_sizes {
                 motion.clip.header.forget_person();
             }
             let coded = baps.encode(&motion.clip.header, plan);
-            let (stream, report) = coded.with_context(|| format!("{name}"))?;
-            (stream, report, None)
+            let (bytes, report) = coded.with_context(|| format!("{name}"))?;
+            EncodedEnd { bytes, report, tips: None, bridged: 0 }
         }
         None if motion.keyed => {
             if !args.quiet {
@@ -134,8 +139,8 @@ fn encode(args: &Args) -> anyhow::Result<()> {
         }
         None => encoded(motion.clip, args, &plan).with_context(|| format!("{name}"))?,
     };
-    deliver(args, &stream, start)?;
-    say(args, &report, tips)
+    deliver(args, &coded.bytes, start)?;
+    say(args, &coded)
 }
 
 /// Says what is worth knowing of how a motion was read, and what to do about it.
@@ -209,9 +214,9 @@ fn encode_lines(reader: PoseReader<impl BufRead>, args: &Args, plan: &PlanOption
                 clip.header.forget_person();
             }
             let start = start_of(&clip, args);
-            let (stream, report, tips) = encoded(clip, args, plan).with_context(|| format!("{name}"))?;
-            deliver(args, &stream, start)?;
-            say(args, &report, tips)
+            let coded = encoded(clip, args, plan).with_context(|| format!("{name}"))?;
+            deliver(args, &coded.bytes, start)?;
+            say(args, &coded)
         }
     }
 }
@@ -229,7 +234,7 @@ fn pass_on(
     let end = |encoder: PoseEncoder| {
         let end = encoder.finish().with_context(|| format!("{name}"))?;
         pass(&end.bytes)?;
-        say(args, &end.report, end.tips)
+        say(args, &end)
     };
     let mut current: Option<(PoseEncoder, Vec<Side>)> = None;
     while let Some(pose) = reader.next() {
@@ -262,13 +267,16 @@ fn pass_on(
 }
 
 /// Says what the stream costs.
-fn say(args: &Args, report: &PlanReport, tips: Option<TipError>) -> anyhow::Result<()> {
+fn say(args: &Args, coded: &EncodedEnd) -> anyhow::Result<()> {
+    let EncodedEnd { report, tips, bridged, .. } = coded;
+    let tips = *tips;
     let notice = notices::of_report(args.rate.plan().mode, args.rate.live, report, tips);
     if let Some(notice) = &notice {
         errln!("handcast: {notice}");
     }
     if args.json {
         let mut account = account(report, tips);
+        account["bridged"] = (*bridged).into();
         account["notice"] = notice.into();
         let account = serde_json::to_string(&account)?;
         // The stream itself may be on standard output.
@@ -315,14 +323,12 @@ fn encode_by_epf(args: &Args, epf: &Path, bytes: &[u8], plan: &PlanOptions) -> a
 }
 
 /// The stream of poses, which are let go before it is planned.
-fn encoded(
-    mut clip: PoseClip,
-    args: &Args,
-    plan: &PlanOptions,
-) -> anyhow::Result<(Vec<u8>, PlanReport, Option<TipError>)> {
+fn encoded(mut clip: PoseClip, args: &Args, plan: &PlanOptions) -> anyhow::Result<EncodedEnd> {
     let profile = args.rate.profile.into();
     if !args.quiet {
-        notices::of_poses(&clip, profile).iter().for_each(|notice| errln!("handcast: {notice}"));
+        notices::of_poses(&clip, profile, args.rate.max_gap())
+            .iter()
+            .for_each(|notice| errln!("handcast: {notice}"));
     }
     if args.rate.no_sizes {
         clip.header.forget_person();
@@ -332,13 +338,13 @@ fn encoded(
     if !args.quiet {
         warn_of_uneven_times(&clip, encoder.rate());
     }
-    let mut stream = encoder.push_all(poses_on_ticks(&clip, encoder.rate()))?;
+    let mut stream = encoder.push_all(poses_on_ticks(&clip, encoder.rate(), args.rate.max_gap()))?;
     drop(clip);
     let bar = busy(!args.quiet && !args.json, "encoding");
     let end = encoder.finish()?;
     bar.finish_and_clear();
     stream.extend(end.bytes);
-    Ok((stream, end.report, end.tips))
+    Ok(EncodedEnd { bytes: stream, ..end })
 }
 
 /// How far fingertips are off as a viewer sees them, in words.

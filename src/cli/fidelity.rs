@@ -81,6 +81,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let options = FidelityOptions {
         profile: args.rate.profile.into(),
         plan: args.rate.plan(),
+        max_gap: args.rate.max_gap(),
         curve: !args.no_curve,
         mirror: !args.no_mirror,
     };

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, bail};
 use handcast_codec::notices;
 use handcast_codec::{
-    DecodedStream, EncodedClip, PoseDecoderOptions, TipError, clip_rate, decode_poses_within, encode_poses,
+    DecodedStream, EncodedClip, PoseDecoderOptions, TipError, clip_rate, decode_poses_within, encode_bridged,
 };
 use handcast_eval::fidelity::{AngleError, angle_error};
 use handcast_fba::DecoderOptions;
@@ -101,6 +101,8 @@ struct Report {
     stream_bytes: usize,
     kbit_per_s: f64,
     planes: u64,
+    /// Poses interpolated in gaps.
+    bridged: usize,
     coding_rms_deg: f64,
     coding_max_deg: f64,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -198,7 +200,9 @@ impl Work {
         let begun = Instant::now();
         let profile = self.rate.profile.into();
         if !self.track.quiet {
-            notices::of_poses(poses, profile).iter().for_each(|notice| errln!("handcast: {notice}"));
+            notices::of_poses(poses, profile, self.rate.max_gap())
+                .iter()
+                .for_each(|notice| errln!("handcast: {notice}"));
         }
         let without = self.rate.no_sizes.then(|| {
             let mut poses = poses.clone();
@@ -206,7 +210,8 @@ impl Work {
             poses
         });
         check_span(poses, clip_rate(poses))?;
-        let encoded = encode_poses(without.as_ref().unwrap_or(poses), profile, &self.rate.plan())?;
+        let poses_sent = without.as_ref().unwrap_or(poses);
+        let encoded = encode_bridged(poses_sent, profile, &self.rate.plan(), self.rate.max_gap())?;
         if let Some(rate) = encoded.clip.header.rate
             && !self.track.quiet
         {
@@ -317,6 +322,7 @@ impl Work {
             stream_bytes: bytes,
             kbit_per_s: plan.kbit_per_s(),
             planes: plan.planes,
+            bridged: encoded.bridged,
             coding_rms_deg: coding.rms_deg,
             coding_max_deg: coding.max_deg,
             tips_mm: encoded.tips.map(|tips| tips_mm(&tips)),

@@ -364,7 +364,7 @@ fn idle_options_are_told_of() {
         ("render good.jsonl -o x.png --steps standard", "good.jsonl is no stream: --steps changes nothing"),
         ("render good.fba -o x.png --steps standard", ""),
         ("encode good.jsonl -o x.fba --profile arm", ""),
-        ("import good.jsonl -o x.csv --max-gap 1", "--max-gap changes nothing"),
+        ("import good.jsonl -o x.csv --input-fps 20", "--input-fps changes nothing"),
         ("pose A -o x.jsonl --size 99x99", "--size changes nothing"),
     ] {
         let out = folder.run(line);
