@@ -13,7 +13,7 @@ use handcast_fba::bap::{StepTable, epf, text};
 use handcast_fba::plan::{PlanOptions, PlanReport};
 use handcast_fba::{DecoderOptions, EncodeError, encode_epf};
 use handcast_formats::motion::{Format, Motion, at_even_times, even_rate};
-use handcast_formats::mp4::{MuxOptions, mux};
+use handcast_formats::mp4::{MuxOptions, mux, pictures_end_at, pictures_start_at};
 use handcast_formats::poses::PoseReader;
 use handcast_hand::{PoseClip, Side};
 
@@ -139,7 +139,7 @@ fn encode(args: &Args) -> anyhow::Result<()> {
         }
         None => encoded(motion.clip, args, &plan).with_context(|| format!("{name}"))?,
     };
-    deliver(args, &coded.bytes, start)?;
+    deliver(args, &coded.bytes, [start, coded.report.seconds])?;
     say(args, &coded)
 }
 
@@ -181,8 +181,11 @@ fn start_of(clip: &PoseClip, args: &Args) -> f64 {
     if first.is_finite() { first.max(0.0) } else { 0.0 }
 }
 
-/// Writes the stream, into an MP4 file if its name says so.
-fn deliver(args: &Args, stream: &[u8], start: f64) -> anyhow::Result<()> {
+/// Seconds by which a stream may end before the clip beside it, or behind it, without a word.
+const APART: f64 = 0.5;
+
+/// Writes the stream, into an MP4 file if its name says so; it begins at `start`, and lasts for so many `seconds`.
+fn deliver(args: &Args, stream: &[u8], [start, seconds]: [f64; 2]) -> anyhow::Result<()> {
     if ending(&args.output) != "mp4" {
         return write_output(&args.output, stream);
     }
@@ -194,6 +197,17 @@ fn deliver(args: &Args, stream: &[u8], start: f64) -> anyhow::Result<()> {
         ranges: args.rate.ranges.into(),
         ..DecoderOptions::default()
     };
+    if let (Some(path), Some(clip)) = (&args.with_video, &clip)
+        && let Some(end) = pictures_end_at(clip)
+    {
+        let stream = pictures_start_at(clip) + start + seconds;
+        if (stream - end).abs() > APART {
+            errln!(
+                "handcast: the stream ends at {stream:.2} s, the pictures of {} at {end:.2} s: are the poses those of this clip?",
+                path.display()
+            );
+        }
+    }
     let options = MuxOptions::default().with_decoder(decoder).with_start(start).with_clip(clip);
     let file = mux(stream, &options);
     let file = match &args.with_video {
@@ -215,7 +229,7 @@ fn encode_lines(reader: PoseReader<impl BufRead>, args: &Args, plan: &PlanOption
             }
             let start = start_of(&clip, args);
             let coded = encoded(clip, args, plan).with_context(|| format!("{name}"))?;
-            deliver(args, &coded.bytes, start)?;
+            deliver(args, &coded.bytes, [start, coded.report.seconds])?;
             say(args, &coded)
         }
     }
@@ -315,7 +329,7 @@ fn encode_by_epf(args: &Args, epf: &Path, bytes: &[u8], plan: &PlanOptions) -> a
         let [names, has] = [frames.len(), file.frames.len()];
         errln!("handcast: {} names {names} planes, {name} has {has} frames", epf.display());
     }
-    deliver(args, &stream, 0.0)?;
+    deliver(args, &stream, [0.0; 2])?;
     if !args.quiet {
         errln!("{}: {} planes, {} bytes", args.output.display(), frames.len(), stream.len());
     }

@@ -239,7 +239,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
             None if slot.is_ended() => break,
             None => {}
         }
-        status.tell(&worker, &slot, &server);
+        status.tell(&mut worker, &slot, &server);
     }
     stop.store(true, Ordering::Relaxed);
     // Whatever went wrong, all is ended.

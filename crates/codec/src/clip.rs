@@ -14,6 +14,7 @@ use crate::decoder::{PlaneTotals, PoseDecoder, PoseDecoderOptions, hand_of, head
 use crate::encoder::{Holder, Moment, PoseEncoder, Ready};
 use crate::error::{PosesToStreamError, StreamToPosesError, is_passed_over};
 use crate::mapping::{Profile, sides};
+use crate::person::{differ, hands_of_record};
 use crate::ties::hand_ties;
 use crate::tips::TipError;
 
@@ -293,6 +294,8 @@ pub struct DecodedBaps {
     pub streams: u32,
     /// Bytes behind the last stream's end code that begin no further one.
     pub trailing: u64,
+    /// The hands of which these streams tell different sizes: the record is the last stream's.
+    pub resized: Vec<Side>,
 }
 
 /// Bytes of a stream that a decoder is given at a time.
@@ -304,7 +307,7 @@ const PIECE: usize = 1 << 16;
 /// The first error of the decoder; with `options.conceal` nothing after the first plane is an error.
 pub fn decode_planes(bytes: &[u8], options: DecoderOptions) -> Result<Vec<DecodedFrame>, SyntaxError> {
     let mut planes = Vec::new();
-    each_plane(bytes, options, |plane| {
+    each_plane(bytes, options, |_, plane| {
         planes.push(plane);
         Ok::<(), SyntaxError>(())
     })?;
@@ -322,7 +325,11 @@ pub fn decode_baps(
 ) -> Result<DecodedBaps, StreamToPosesError> {
     let limit = usize::try_from(limits.instants).unwrap_or(usize::MAX);
     let (mut found, mut last) = (DecodedBaps::default(), None);
-    let (decoder, damage) = each_plane(bytes, options, |plane| {
+    let mut records: Vec<Record> = Vec::new();
+    let (decoder, damage) = each_plane(bytes, options, |decoder, plane| {
+        if !records.contains(decoder.record()) && records.len() < MAX_RECORDS {
+            records.push(*decoder.record());
+        }
         if found.planes == limit {
             return Err(StreamToPosesError::TooManyPoses { limit });
         }
@@ -341,14 +348,28 @@ pub fn decode_baps(
     found.passed_over = decoder.joined().map(|bit| bit / 8);
     found.streams = decoder.objects();
     found.trailing = decoder.trailing();
+    found.resized = resized(&records);
     Ok(found)
+}
+
+/// Records of joined streams that are compared with one another.
+const MAX_RECORDS: usize = 64;
+
+/// The hands of which these records tell different sizes.
+fn resized(records: &[Record]) -> Vec<Side> {
+    let differs = |side: &Side| {
+        let hands = records.iter().flat_map(hands_of_record).filter(|hand| hand.side == *side);
+        let mut sizes = hands.filter_map(|hand| hand.morphology);
+        sizes.next().is_some_and(|first| sizes.any(|other| differ(&first, &other)))
+    };
+    [Side::Left, Side::Right].into_iter().filter(differs).collect()
 }
 
 /// Gives `take` every plane of a whole stream, until it refuses one: the decoder at the end, and what was passed over.
 fn each_plane<E: From<SyntaxError>>(
     bytes: &[u8],
     options: DecoderOptions,
-    mut take: impl FnMut(DecodedFrame) -> Result<(), E>,
+    mut take: impl FnMut(&Decoder, DecodedFrame) -> Result<(), E>,
 ) -> Result<(Decoder, Damage), E> {
     let (mut decoder, mut damage) = (Decoder::new(options), Damage::default());
     let (mut before, mut any, mut ended) = (None, false, false);
@@ -358,7 +379,7 @@ fn each_plane<E: From<SyntaxError>>(
             Ok(Some(plane)) => {
                 any = true;
                 plane.damage.iter().for_each(|error| damage.add(error.clone()));
-                take(plane)?;
+                take(&decoder, plane)?;
             }
             Ok(None) => match pieces.next() {
                 Some(piece) => decoder.push(piece)?,

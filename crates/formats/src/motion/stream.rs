@@ -34,5 +34,6 @@ fn read(bytes: &[u8], limits: &Limits) -> Result<Motion, ContentError> {
     header.skin_tone = skin_tone_of_record(&decoded.record);
     motion.clip.shift(starts_at(bytes));
     motion.notes = notices::of_stream(decoded.passed_over, decoded.streams, decoded.trailing);
+    motion.notes.extend(notices::of_sizes(&decoded.resized, "the last ones"));
     Ok(motion)
 }
