@@ -97,8 +97,8 @@ enum Command {
     Man(manual::ManArgs),
 }
 
-/// The command line. Where `--axes` are those of the points that are read, those of a .glb have a longer name; single
-/// poses may be written as pictures.
+/// The command line. Of `import` the old name `--axes` is that of the points that are read, not of a .glb; single poses may be
+/// written as pictures.
 fn command() -> clap::Command {
     let pictures = |command: clap::Command| {
         command.mut_arg(poses_out::TO, |to| to.value_parser(poses_out::Output::parser(true)))
@@ -113,7 +113,7 @@ fn command() -> clap::Command {
         .mut_subcommand("run", unless("the clip's name with -handcast, in the current folder"))
         .mut_subcommand("demo", unless(unnamed::DEMO))
         .mut_subcommand("import", |import| {
-            import.mut_arg(glb_out::AXES, |axes| axes.long("glb-axes")).mut_arg("map", |map| {
+            import.mut_arg(glb_out::AXES, |axes| axes.alias(clap::builder::Resettable::Reset)).mut_arg("map", |map| {
                 map.requires(clap::builder::Resettable::Reset).help(
                     "Which joint is which where names do not tell: of --mesh, or without one of a .glb or .gltf that is read (.toml)",
                 )

@@ -155,6 +155,14 @@ pub struct StreamArgs {
     /// Where position and rotation of the hand travelled in a stream [default: as its masks tell]
     #[arg(long, value_enum)]
     pub profile: Option<ProfileArg>,
+    #[command(flatten)]
+    decoding: DecodingArgs,
+}
+
+/// How the bits of a stream are read
+#[derive(Debug, clap::Args)]
+#[command(next_help_heading = "Streams")]
+pub struct DecodingArgs {
     /// Base quantiser steps a stream was made with; it does not tell
     #[arg(long, value_enum, default_value_t = Steps::Standard)]
     steps: Steps,
@@ -167,6 +175,13 @@ pub struct StreamArgs {
 }
 
 impl StreamArgs {
+    /// The decoder's options.
+    pub fn options(&self) -> DecoderOptions {
+        self.decoding.options()
+    }
+}
+
+impl DecodingArgs {
     /// The decoder's options.
     pub fn options(&self) -> DecoderOptions {
         DecoderOptions {

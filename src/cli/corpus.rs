@@ -30,7 +30,7 @@ pub struct Args {
     #[arg(short, long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     jobs: Option<u16>,
     /// Only inputs whose path below the folder fits this pattern, such as "*.mp4" or "day1/*"; may be repeated
-    #[arg(long, value_name = "PATTERN", value_parser = pattern)]
+    #[arg(long = "match", alias = "only", value_name = "PATTERN", value_parser = pattern)]
     only: Vec<Pattern>,
     /// Try inputs again that failed
     #[arg(long)]
@@ -69,7 +69,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         corpus.inputs() > 0,
         "{}: no clip and no motion file in it{}",
         args.input.display(),
-        if args.only.is_empty() { "" } else { " that --only lets through" }
+        if args.only.is_empty() { "" } else { " that --match lets through" }
     );
     let worker =
         Worker::new(&args.input, &args.output, &settings).with_finder(finder).with_limits(limits().clone());

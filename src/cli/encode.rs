@@ -36,8 +36,8 @@ pub struct Args {
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     /// Clip (.mp4) whose tracks stand beside the stream's, untouched (.mp4 only)
-    #[arg(long, value_name = "FILE", conflicts_with = "epf")]
-    with_video: Option<PathBuf>,
+    #[arg(long, alias = "with-video", value_name = "FILE", conflicts_with = "epf")]
+    clip: Option<PathBuf>,
     /// Which joint of a .glb or .gltf is which, where names do not tell (.toml)
     #[arg(long, value_name = "FILE")]
     map: Option<PathBuf>,
@@ -47,7 +47,7 @@ pub struct Args {
     /// Print the account of the stream as JSON
     #[arg(long)]
     json: bool,
-    /// Say nothing on success
+    /// Neither progress nor report; warnings are told all the same
     #[arg(short, long)]
     quiet: bool,
     #[command(flatten)]
@@ -86,8 +86,8 @@ fn encode(args: &Args) -> anyhow::Result<()> {
     if args.output.as_os_str() == "-" && std::io::stdout().is_terminal() {
         refuse!("a stream is no text for a terminal: name a file, or pass it on through a pipe");
     }
-    if args.with_video.is_some() && ending(&args.output) != "mp4" {
-        refuse!("--with-video: a stream stands beside a clip in an .mp4 alone");
+    if args.clip.is_some() && ending(&args.output) != "mp4" {
+        refuse!("--clip: a stream stands beside a clip in an .mp4 alone");
     }
     let (head, input) = begun(&args.input)?;
     if args.map.is_some() && Format::of(&args.input, &head).is_none_or(|format| format.kind != "glb") {
@@ -104,9 +104,7 @@ fn encode(args: &Args) -> anyhow::Result<()> {
         Some(map) => Motion::parse_mapped(&args.input, &bytes, &read_map(map)?, limits())?,
         None => Motion::parse_within(&args.input, &bytes, limits())?,
     };
-    if !args.quiet {
-        tell_of_reading(&motion, &args.input);
-    }
+    tell_of_reading(&motion, &args.input);
     if motion.format.id == "fba" && plan.steps != StepTable::Standard {
         refuse!(
             "{name}: --steps says how a stream is written, and this one is read with those of the standard: if it has \
@@ -129,9 +127,7 @@ fn encode(args: &Args) -> anyhow::Result<()> {
             EncodedEnd { bytes, report, tips: None, bridged: 0 }
         }
         None if motion.keyed => {
-            if !args.quiet {
-                warn_of_uneven_times(&motion.clip, even_rate(&motion.clip));
-            }
+            warn_of_uneven_times(&motion.clip, even_rate(&motion.clip));
             let even = at_even_times(motion.clip, limits());
             even.map_err(anyhow::Error::from)
                 .and_then(|clip| encoded(clip, args, &plan))
@@ -174,7 +170,7 @@ const SIMPLE_FBA: u8 = 0x63;
 
 /// Seconds at which the poses of a clip begin, which a stream does not tell: that is said.
 fn start_of(clip: &PoseClip, args: &Args) -> f64 {
-    if let (false, None, Some(notice)) = (args.quiet, &args.with_video, notices::of_start(clip)) {
+    if let (None, Some(notice)) = (&args.clip, notices::of_start(clip)) {
         errln!("handcast: {notice}");
     }
     let first = clip.frames.iter().map(|frame| frame.time).fold(f64::INFINITY, f64::min);
@@ -189,7 +185,7 @@ fn deliver(args: &Args, stream: &[u8], [start, seconds]: [f64; 2]) -> anyhow::Re
     if ending(&args.output) != "mp4" {
         return write_output(&args.output, stream);
     }
-    let clip = args.with_video.as_deref().map(|path| read_input(path, None)).transpose()?;
+    let clip = args.clip.as_deref().map(|path| read_input(path, None)).transpose()?;
     // Only beside a clip it matters when the stream begins.
     let start = if clip.is_some() { start } else { 0.0 };
     let decoder = DecoderOptions {
@@ -197,7 +193,7 @@ fn deliver(args: &Args, stream: &[u8], [start, seconds]: [f64; 2]) -> anyhow::Re
         ranges: args.rate.ranges.into(),
         ..DecoderOptions::default()
     };
-    if let (Some(path), Some(clip)) = (&args.with_video, &clip)
+    if let (Some(path), Some(clip)) = (&args.clip, &clip)
         && let Some(end) = pictures_end_at(clip)
     {
         let stream = pictures_start_at(clip) + start + seconds;
@@ -210,8 +206,8 @@ fn deliver(args: &Args, stream: &[u8], [start, seconds]: [f64; 2]) -> anyhow::Re
     }
     let options = MuxOptions::default().with_decoder(decoder).with_start(start).with_clip(clip);
     let file = mux(stream, &options);
-    let file = match &args.with_video {
-        Some(path) => file.with_context(|| format!("--with-video {}", path.display()))?,
+    let file = match &args.clip {
+        Some(path) => file.with_context(|| format!("--clip {}", path.display()))?,
         None => file?,
     };
     write_output(&args.output, &file)
@@ -325,7 +321,7 @@ fn encode_by_epf(args: &Args, epf: &Path, bytes: &[u8], plan: &PlanOptions) -> a
     let frames = epf::read(String::from_utf8_lossy(&words).trim_start_matches('\u{feff}'))
         .with_context(|| format!("{}", epf.display()))?;
     let stream = encode_epf(&file, &frames, plan.steps)?;
-    if frames.len() != file.frames.len() && !args.quiet {
+    if frames.len() != file.frames.len() {
         let [names, has] = [frames.len(), file.frames.len()];
         errln!("handcast: {} names {names} planes, {name} has {has} frames", epf.display());
     }
@@ -339,19 +335,15 @@ fn encode_by_epf(args: &Args, epf: &Path, bytes: &[u8], plan: &PlanOptions) -> a
 /// The stream of poses, which are let go before it is planned.
 fn encoded(mut clip: PoseClip, args: &Args, plan: &PlanOptions) -> anyhow::Result<EncodedEnd> {
     let profile = args.rate.profile.into();
-    if !args.quiet {
-        notices::of_poses(&clip, profile, args.rate.max_gap())
-            .iter()
-            .for_each(|notice| errln!("handcast: {notice}"));
-    }
+    notices::of_poses(&clip, profile, args.rate.max_gap())
+        .iter()
+        .for_each(|notice| errln!("handcast: {notice}"));
     if args.rate.no_sizes {
         clip.header.forget_person();
     }
     let mut encoder = PoseEncoder::for_clip(&clip, profile, plan)?;
     check_span(&clip, encoder.rate())?;
-    if !args.quiet {
-        warn_of_uneven_times(&clip, encoder.rate());
-    }
+    warn_of_uneven_times(&clip, encoder.rate());
     let mut stream = encoder.push_all(poses_on_ticks(&clip, encoder.rate(), args.rate.max_gap()))?;
     drop(clip);
     let bar = busy(!args.quiet && !args.json, "encoding");

@@ -36,8 +36,8 @@ pub struct Args {
     #[arg(long, value_name = "FILE")]
     truth: Option<PathBuf>,
     /// Leave out the mirrored clip and motion, with the other hand
-    #[arg(long)]
-    no_mirror: bool,
+    #[arg(long, alias = "no-mirror")]
+    no_symmetry: bool,
     /// Leave out the rate over the error, which codes the motion two dozen times
     #[arg(long)]
     no_curve: bool,
@@ -83,7 +83,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         plan: args.rate.plan(),
         max_gap: args.rate.max_gap(),
         curve: !args.no_curve,
-        mirror: !args.no_mirror,
+        mirror: !args.no_symmetry,
     };
     let input = input(args, folder.as_ref())?;
     if let Some(share) = args.loss.loss {
@@ -182,7 +182,7 @@ fn tracked(
     let bar = args.track.progress(path, source.as_ref());
     let mut measured = measure_clip(source, masks, &track, truth, &mut |read| bar.set_position(read as u64))?;
     bar.finish_and_clear();
-    if measured.seam.hands > 1 && !args.track.quiet {
+    if measured.seam.hands > 1 {
         errln!("handcast: {name}: two hands; the first is measured, --hand chooses");
     }
     if let Some(truth) = truth {

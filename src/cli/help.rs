@@ -67,7 +67,7 @@ handcast run clip.mp4 -o out --net mediapipe-0.10.21-*.whl",
         "\
 handcast encode poses.jsonl -o hand.fba --bitrate 1.5
 handcast encode hand.bvh -o hand.fba --max-error 3mm
-handcast encode poses.jsonl -o hand.mp4 --with-video clip.mp4
+handcast encode poses.jsonl -o hand.mp4 --clip clip.mp4
 handcast track clip.mp4 -o - | handcast encode - --live -o hand.fba",
     ),
     (
@@ -137,7 +137,7 @@ handcast synth -o two.avi --two-hands --meet",
         "corpus",
         "\
 handcast corpus clips/ -o out --jobs 8
-handcast corpus clips/ -o out --only \"*.mp4\" --retry",
+handcast corpus clips/ -o out --match \"*.mp4\" --retry",
     ),
     (
         "fidelity",

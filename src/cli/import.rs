@@ -48,8 +48,8 @@ pub struct Args {
     #[arg(long, value_name = "MM", value_parser = hand_length)]
     hand_length_mm: Option<f64>,
     /// Axes of the points, where they are not those that files of this kind have (spec/landmarks.md).
-    #[arg(long, value_name = "AXES", value_parser = axes())]
-    axes: Option<Axes>,
+    #[arg(long, alias = "axes", value_name = "AXES", value_parser = axes())]
+    input_axes: Option<Axes>,
     /// Size of the picture that joints were found in, pixels, where the file does not tell: puts hands before the camera.
     #[arg(long, value_name = "WxH", value_parser = image_size)]
     image_size: Option<[f64; 2]>,
@@ -84,7 +84,7 @@ pub struct Args {
         value_parser = smoothing
     )]
     smooth: Option<SmoothOptions>,
-    /// Say nothing on success.
+    /// Neither progress nor report; warnings are told all the same.
     #[arg(short, long)]
     quiet: bool,
     #[command(flatten)]
@@ -96,7 +96,7 @@ fn solving() -> Vec<String> {
     given::among(&[
         "person",
         "hand_length_mm",
-        "axes",
+        "input_axes",
         "image_size",
         "tie",
         "no_twist",
@@ -139,7 +139,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
             dynamic: !args.limits_only,
             ..SolverOptions::default()
         },
-        axes: args.axes,
+        axes: args.input_axes,
         image_size: args.image_size,
         field_of_view: args.fov.to_radians(),
         max_gap: args.max_gap,
@@ -260,9 +260,7 @@ fn told<'a>(
         format_args!("{} has poses, which are written as they are", path.display()),
         &["fov", "input_fps"],
     );
-    if !args.quiet {
-        motion.notes.iter().for_each(|note| errln!("handcast: {}: {note}", path.display()));
-    }
+    motion.notes.iter().for_each(|note| errln!("handcast: {}: {note}", path.display()));
     // Keys are joined, as players do.
     let clip = if motion.keyed {
         at_even_times(motion.clip, limits()).with_context(|| path.display().to_string())?

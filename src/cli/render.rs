@@ -71,7 +71,7 @@ pub struct Args {
     /// Transparent background (not in .gif and .mp4)
     #[arg(long)]
     transparent: bool,
-    /// No progress bar, and nothing said on success
+    /// Neither progress nor report; warnings are told all the same
     #[arg(short, long)]
     quiet: bool,
     #[command(flatten)]

@@ -199,11 +199,9 @@ impl Work {
     fn encode(&self, poses: &PoseClip) -> anyhow::Result<(EncodedClip, Duration)> {
         let begun = Instant::now();
         let profile = self.rate.profile.into();
-        if !self.track.quiet {
-            notices::of_poses(poses, profile, self.rate.max_gap())
-                .iter()
-                .for_each(|notice| errln!("handcast: {notice}"));
-        }
+        notices::of_poses(poses, profile, self.rate.max_gap())
+            .iter()
+            .for_each(|notice| errln!("handcast: {notice}"));
         let without = self.rate.no_sizes.then(|| {
             let mut poses = poses.clone();
             poses.header.forget_person();
@@ -212,9 +210,7 @@ impl Work {
         check_span(poses, clip_rate(poses))?;
         let poses_sent = without.as_ref().unwrap_or(poses);
         let encoded = encode_bridged(poses_sent, profile, &self.rate.plan(), self.rate.max_gap())?;
-        if let Some(rate) = encoded.clip.header.rate
-            && !self.track.quiet
-        {
+        if let Some(rate) = encoded.clip.header.rate {
             warn_of_uneven_times(poses, rate);
         }
         Ok((encoded, begun.elapsed()))
