@@ -277,6 +277,29 @@ mod tests {
     }
 
     #[test]
+    fn old_names_of_options_are_taken_and_not_shown() {
+        for (line, id, old) in [
+            ("decode x.fba -o x.glb --axes webxr", "glb_axes", "--axes "),
+            ("import x.json -o x.glb --axes webxr --glb-axes webxr", "input_axes", "--axes "),
+            ("encode x.jsonl -o x.mp4 --with-video x.mp4", "clip", "--with-video"),
+            ("corpus x -o y --only *.mp4", "only", "--only"),
+            ("fidelity x.jsonl --no-mirror", "no_symmetry", "--no-mirror"),
+            ("live --fps 25", "input_fps", "--fps"),
+            ("render x.fba -o x.png --hand left", "hand", "--hand "),
+        ] {
+            let matches = command().try_get_matches_from(format!("handcast {line}").split(' ')).unwrap();
+            let (name, given) = matches.subcommand().unwrap();
+            assert_eq!(given.value_source(id), Some(clap::parser::ValueSource::CommandLine), "{line}");
+            let mut command = command();
+            let help = command.find_subcommand_mut(name).unwrap().render_long_help().to_string();
+            assert!(
+                !help.contains(&format!("{old}<")) && !help.contains(&format!("\n      {}\n", old.trim())),
+                "{help}"
+            );
+        }
+    }
+
+    #[test]
     fn long_messages_are_cut_in_the_middle() {
         assert_eq!(shortened("short".into()), "short");
         assert_eq!(shortened("a\n b\u{1b}]0;c\u{7}".into()), "a b\\u{1b}]0;c\\u{7}");

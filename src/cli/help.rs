@@ -161,6 +161,12 @@ handcast bench codec recordings/ --svg curve.svg
 handcast bench codec recordings/ --bitrate 1.5",
     ),
     ("bench corpus", "handcast bench corpus clips/ --jobs 8"),
+    (
+        "bench gaps",
+        "\
+handcast bench gaps counting.jsonl flexions.jsonl
+handcast bench gaps poses.jsonl --target-rms 0.45 --seeds 10 --json",
+    ),
     ("bench fit", "handcast bench fit --persons 10 --verbose"),
     (
         "bench labels",

@@ -369,7 +369,7 @@ impl Motion {
         options: DecoderOptions,
         limits: &Limits,
     ) -> Result<Self, MotionError> {
-        if Format::of(path, bytes).is_none_or(|format| format.id != "fba") {
+        if bytes.is_empty() || Format::of(path, bytes).is_none_or(|format| format.id != "fba") {
             return Self::parse_within(path, bytes, limits);
         }
         let motion = stream::read(bytes, options, limits).and_then(|motion| motion.sound(limits));
