@@ -98,8 +98,8 @@ enum Command {
     Man(manual::ManArgs),
 }
 
-/// The command line. Where `--axes` are those of the points that are read, those of a .glb have a longer name; single
-/// poses may be written as pictures.
+/// The command line. Of `import` the old name `--axes` is that of the points that are read, not of a .glb; single poses may be
+/// written as pictures.
 fn command() -> clap::Command {
     let pictures = |command: clap::Command| {
         command.mut_arg(poses_out::TO, |to| to.value_parser(poses_out::Output::parser(true)))
@@ -114,7 +114,7 @@ fn command() -> clap::Command {
         .mut_subcommand("run", unless("the clip's name with -handcast, in the current folder"))
         .mut_subcommand("demo", unless(unnamed::DEMO))
         .mut_subcommand("import", |import| {
-            import.mut_arg(glb_out::AXES, |axes| axes.long("glb-axes")).mut_arg("map", |map| {
+            import.mut_arg(glb_out::AXES, |axes| axes.alias(clap::builder::Resettable::Reset)).mut_arg("map", |map| {
                 map.requires(clap::builder::Resettable::Reset).help(
                     "Which joint is which where names do not tell: of --mesh, or without one of a .glb or .gltf that is read (.toml)",
                 )
@@ -275,6 +275,29 @@ mod tests {
         assert_eq!(message(&error), "cannot go on: x.fba: no such file");
         let error = anyhow::anyhow!("x.avi: cut").context("x.avi");
         assert_eq!(message(&error), "x.avi: cut");
+    }
+
+    #[test]
+    fn old_names_of_options_are_taken_and_not_shown() {
+        for (line, id, old) in [
+            ("decode x.fba -o x.glb --axes webxr", "glb_axes", "--axes "),
+            ("import x.json -o x.glb --axes webxr --glb-axes webxr", "input_axes", "--axes "),
+            ("encode x.jsonl -o x.mp4 --with-video x.mp4", "clip", "--with-video"),
+            ("corpus x -o y --only *.mp4", "only", "--only"),
+            ("fidelity x.jsonl --no-mirror", "no_symmetry", "--no-mirror"),
+            ("live --fps 25", "input_fps", "--fps"),
+            ("render x.fba -o x.png --hand left", "hand", "--hand "),
+        ] {
+            let matches = command().try_get_matches_from(format!("handcast {line}").split(' ')).unwrap();
+            let (name, given) = matches.subcommand().unwrap();
+            assert_eq!(given.value_source(id), Some(clap::parser::ValueSource::CommandLine), "{line}");
+            let mut command = command();
+            let help = command.find_subcommand_mut(name).unwrap().render_long_help().to_string();
+            assert!(
+                !help.contains(&format!("{old}<")) && !help.contains(&format!("\n      {}\n", old.trim())),
+                "{help}"
+            );
+        }
     }
 
     #[test]

@@ -6,6 +6,7 @@ mod codec;
 mod corpus;
 mod curve;
 mod fit;
+mod gaps;
 mod labels;
 mod live;
 mod sizes;
@@ -25,6 +26,7 @@ enum What {
     Codec(codec::Args),
     Corpus(Box<corpus::Args>),
     Fit(fit::Args),
+    Gaps(gaps::Args),
     Labels(labels::Args),
     Live(live::Args),
     Sizes(sizes::Args),
@@ -39,6 +41,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         What::Codec(args) => codec::run(args),
         What::Corpus(args) => corpus::run(args),
         What::Fit(args) => fit::run(args),
+        What::Gaps(args) => gaps::run(args),
         What::Labels(args) => labels::run(args),
         What::Live(args) => live::run(args),
         What::Sizes(args) => sizes::run(args),

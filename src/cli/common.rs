@@ -9,6 +9,7 @@ use super::usage::{bytes, positive, within};
 use anyhow::{Context, bail, ensure};
 use handcast_codec::mapping::Profile;
 use handcast_codec::notices;
+use handcast_corpus::EncodeSettings;
 use handcast_eval::fidelity::{HandDifference, sampling};
 use handcast_fba::bap::StepTable;
 use handcast_fba::plan::{PlanOptions, Target};
@@ -18,7 +19,7 @@ use handcast_formats::motion::Format;
 use handcast_formats::mp4;
 use handcast_formats::unfinished::{Kind, Unfinished};
 use handcast_formats::whole::{Counted, WholeError, read_piped, read_whole};
-use handcast_hand::{PoseClip, Side};
+use handcast_hand::{MAX_GAP, PoseClip, Side};
 use handcast_limits::{Limit, Limits};
 use handcast_track::View;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
@@ -161,6 +162,14 @@ pub struct StreamArgs {
     /// Where position and rotation of the hand travelled in a stream [default: as its masks tell]
     #[arg(long, value_enum)]
     pub profile: Option<ProfileArg>,
+    #[command(flatten)]
+    decoding: DecodingArgs,
+}
+
+/// How the bits of a stream are read
+#[derive(Debug, clap::Args)]
+#[command(next_help_heading = "Streams")]
+pub struct DecodingArgs {
     /// Base quantiser steps a stream was made with; it does not tell
     #[arg(long, value_enum, default_value_t = Steps::Standard)]
     steps: Steps,
@@ -173,6 +182,13 @@ pub struct StreamArgs {
 }
 
 impl StreamArgs {
+    /// The decoder's options.
+    pub fn options(&self) -> DecoderOptions {
+        self.decoding.options()
+    }
+}
+
+impl DecodingArgs {
     /// The decoder's options.
     pub fn options(&self) -> DecoderOptions {
         DecoderOptions {
@@ -229,6 +245,10 @@ pub struct RateArgs {
     /// level 1, 100 level 2
     #[arg(long, value_name = "0-255")]
     pub wrapper: Option<u8>,
+    /// Interpolate where a hand is lost or pictures are missing for up to this many seconds between two poses, 0 to 86400;
+    /// longer gaps hold the last pose, with 0 all do
+    #[arg(long, value_name = "S", default_value_t = MAX_GAP, value_parser = gap, conflicts_with = "live")]
+    max_gap: f64,
     /// Where position and rotation of the hand travel
     #[arg(long, value_enum, default_value_t = ProfileArg::Hand)]
     pub profile: ProfileArg,
@@ -244,6 +264,16 @@ impl RateArgs {
     /// The planner's options.
     pub fn plan(&self) -> PlanOptions {
         self.plan_of(self.live)
+    }
+
+    /// Seconds up to which gaps are bridged; live none is, as what follows is not known.
+    pub fn max_gap(&self) -> f64 {
+        if self.live { 0.0 } else { self.max_gap }
+    }
+
+    /// The same as data.
+    pub fn settings(&self) -> EncodeSettings {
+        EncodeSettings::of(&self.plan(), self.profile.into(), self.no_sizes, self.max_gap())
     }
 
     /// The planner's options for a stream that is made live, whether or not that was asked for.
@@ -277,6 +307,11 @@ fn max_error(text: &str) -> Result<Target, String> {
         None => within(text, 0.15..=180.0, "degrees, or of fingertips millimetres as in 3mm")
             .map(Target::MaxError),
     }
+}
+
+/// Seconds of a gap.
+pub fn gap(text: &str) -> Result<f64, String> {
+    within(text, 0.0..=86_400.0, "s")
 }
 
 /// A hand length in millimetres on the command line, in metres inside.

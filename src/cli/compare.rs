@@ -10,7 +10,8 @@ use handcast_eval::fidelity::{
 };
 use handcast_formats::motion::Motion;
 
-use super::common::{limits, read_input};
+use super::common::{DecodingArgs, limits, read_input};
+use super::given;
 use super::usage::within;
 
 /// Compares two motions of hands: streams, BAP text, animated hands, poses, joint positions
@@ -43,6 +44,8 @@ pub struct Args {
     /// Print nothing; the exit code tells
     #[arg(short, long, conflicts_with = "json")]
     quiet: bool,
+    #[command(flatten)]
+    decoding: DecodingArgs,
 }
 
 fn degrees(text: &str) -> Result<f64, String> {
@@ -78,9 +81,17 @@ pub fn run(args: &Args) -> anyhow::Result<ExitCode> {
         refuse!("standard input can be one of the two, not both");
     }
     let read = |path: &Path| {
-        Motion::parse_within(path, &read_input(path, None)?, limits()).map_err(anyhow::Error::from)
+        let bytes = read_input(path, None)?;
+        let motion = Motion::parse_decoded(path, &bytes, args.decoding.options(), limits())?;
+        for note in motion.notes.iter().filter(|_| motion.format.id == "fba") {
+            errln!("handcast: {}: {note}", path.display());
+        }
+        anyhow::Ok(motion)
     };
     let [a, b] = [read(&args.a)?, read(&args.b)?];
+    if a.format.id != "fba" && b.format.id != "fba" {
+        given::note_idle("neither is a stream", &["steps", "ranges", "conceal"]);
+    }
     let mut options = CompareOptions::of(&a, &b).with_tolerance(args.tolerance);
     options.wrist_tolerance_deg = args.wrist_tolerance.unwrap_or(options.wrist_tolerance_deg);
     options.wrist_tolerance_mm = args.position_tolerance.unwrap_or(options.wrist_tolerance_mm);

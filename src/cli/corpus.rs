@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{bail, ensure};
 use glob::Pattern;
-use handcast_corpus::{Choice, Corpus, EncodeSettings, Item, Outcome, Report, Settings, Worker};
+use handcast_corpus::{Choice, Corpus, Item, Outcome, Report, Settings, Worker};
 use indicatif::{HumanDuration, ProgressBar, ProgressStyle};
 
 use super::common::{RateArgs, limits, progress};
@@ -30,7 +30,7 @@ pub struct Args {
     #[arg(short, long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     jobs: Option<u16>,
     /// Only inputs whose path below the folder fits this pattern, such as "*.mp4" or "day1/*"; may be repeated
-    #[arg(long, value_name = "PATTERN", value_parser = pattern)]
+    #[arg(long = "match", alias = "only", value_name = "PATTERN", value_parser = pattern)]
     only: Vec<Pattern>,
     /// Try inputs again that failed
     #[arg(long)]
@@ -58,9 +58,7 @@ pub fn cores() -> usize {
 pub fn run(args: &Args) -> anyhow::Result<()> {
     let show = !args.track.quiet && !args.track.json;
     let (track, finder) = args.track.settings()?;
-    let plan = args.rate.plan();
-    let settings =
-        Settings { track, encode: EncodeSettings::of(&plan, args.rate.profile.into(), args.rate.no_sizes) };
+    let settings = Settings { track, encode: args.rate.settings() };
     let mut choice = Choice::default();
     choice.only.clone_from(&args.only);
     choice.checksum = args.checksum;
@@ -71,7 +69,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         corpus.inputs() > 0,
         "{}: no clip and no motion file in it{}",
         args.input.display(),
-        if args.only.is_empty() { "" } else { " that --only lets through" }
+        if args.only.is_empty() { "" } else { " that --match lets through" }
     );
     let worker =
         Worker::new(&args.input, &args.output, &settings).with_finder(finder).with_limits(limits().clone());

@@ -32,7 +32,7 @@ pub struct Args {
     /// Sizes of the person's hand, instead of those that the stream carries
     #[arg(long, value_name = "FILE")]
     person: Option<PathBuf>,
-    /// Say nothing on success
+    /// Neither progress nor report; warnings are told all the same
     #[arg(short, long)]
     quiet: bool,
     #[command(flatten)]
@@ -190,7 +190,7 @@ fn write_baps(args: &Args, bytes: &[u8], options: DecoderOptions) -> anyhow::Res
     for notice in notices::of_stream(decoded.passed_over, decoded.streams, decoded.trailing) {
         errln!("handcast: {name}: {notice}");
     }
-    if hands_of_record(&decoded.record).iter().any(|hand| hand.morphology.is_some()) && !args.quiet {
+    if hands_of_record(&decoded.record).iter().any(|hand| hand.morphology.is_some()) {
         errln!("handcast: BAP text has no place for the person's sizes, which the stream carries");
     }
     let rows = decoded.frames.len();

@@ -6,12 +6,14 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use handcast_codec::notices;
-use handcast_codec::{PoseEncoder, PoseEncoderOptions, PosesToStreamError, TipError, poses_on_ticks};
+use handcast_codec::{
+    EncodedEnd, PoseEncoder, PoseEncoderOptions, PosesToStreamError, TipError, poses_on_ticks,
+};
 use handcast_fba::bap::{StepTable, epf, text};
 use handcast_fba::plan::{PlanOptions, PlanReport};
 use handcast_fba::{DecoderOptions, EncodeError, encode_epf};
 use handcast_formats::motion::{Format, Motion, at_even_times, even_rate};
-use handcast_formats::mp4::{MuxOptions, mux};
+use handcast_formats::mp4::{MuxOptions, mux, pictures_end_at, pictures_start_at};
 use handcast_formats::poses::PoseReader;
 use handcast_hand::{PoseClip, Side};
 
@@ -34,8 +36,8 @@ pub struct Args {
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     /// Clip (.mp4) whose tracks stand beside the stream's, untouched (.mp4 only)
-    #[arg(long, value_name = "FILE", conflicts_with = "epf")]
-    with_video: Option<PathBuf>,
+    #[arg(long, alias = "with-video", value_name = "FILE", conflicts_with = "epf")]
+    clip: Option<PathBuf>,
     /// Which joint of a .glb or .gltf is which, where names do not tell (.toml)
     #[arg(long, value_name = "FILE")]
     map: Option<PathBuf>,
@@ -45,7 +47,7 @@ pub struct Args {
     /// Print the account of the stream as JSON
     #[arg(long)]
     json: bool,
-    /// Say nothing on success
+    /// Neither progress nor report; warnings are told all the same
     #[arg(short, long)]
     quiet: bool,
     #[command(flatten)]
@@ -84,8 +86,8 @@ fn encode(args: &Args) -> anyhow::Result<()> {
     if args.output.as_os_str() == "-" && std::io::stdout().is_terminal() {
         refuse!("a stream is no text for a terminal: name a file, or pass it on through a pipe");
     }
-    if args.with_video.is_some() && ending(&args.output) != "mp4" {
-        refuse!("--with-video: a stream stands beside a clip in an .mp4 alone");
+    if args.clip.is_some() && ending(&args.output) != "mp4" {
+        refuse!("--clip: a stream stands beside a clip in an .mp4 alone");
     }
     let (head, input) = begun(&args.input)?;
     if args.map.is_some() && Format::of(&args.input, &head).is_none_or(|format| format.kind != "glb") {
@@ -102,9 +104,7 @@ fn encode(args: &Args) -> anyhow::Result<()> {
         Some(map) => Motion::parse_mapped(&args.input, &bytes, &read_map(map)?, limits())?,
         None => Motion::parse_within(&args.input, &bytes, limits())?,
     };
-    if !args.quiet {
-        tell_of_reading(&motion, &args.input);
-    }
+    tell_of_reading(&motion, &args.input);
     if motion.format.id == "fba" && plan.steps != StepTable::Standard {
         refuse!(
             "{name}: --steps says how a stream is written, and this one is read with those of the standard: if it has \
@@ -112,21 +112,22 @@ fn encode(args: &Args) -> anyhow::Result<()> {
         );
     }
     let start = start_of(&motion.clip, args);
-    let (stream, report, tips) = match &motion.baps {
+    let coded = match &motion.baps {
         Some(baps) => {
-            given::note_idle(format_args!("{name} has its values in BAPs of its own"), &["profile"]);
+            given::note_idle(
+                format_args!("{name} has its values in BAPs of its own"),
+                &["profile", "max_gap"],
+            );
             // What the stream before told of hands travels on.
             if args.rate.no_sizes {
                 motion.clip.header.forget_person();
             }
             let coded = baps.encode(&motion.clip.header, plan);
-            let (stream, report) = coded.with_context(|| format!("{name}"))?;
-            (stream, report, None)
+            let (bytes, report) = coded.with_context(|| format!("{name}"))?;
+            EncodedEnd { bytes, report, tips: None, bridged: 0 }
         }
         None if motion.keyed => {
-            if !args.quiet {
-                warn_of_uneven_times(&motion.clip, even_rate(&motion.clip));
-            }
+            warn_of_uneven_times(&motion.clip, even_rate(&motion.clip));
             let even = at_even_times(motion.clip, limits());
             even.map_err(anyhow::Error::from)
                 .and_then(|clip| encoded(clip, args, &plan))
@@ -134,8 +135,8 @@ fn encode(args: &Args) -> anyhow::Result<()> {
         }
         None => encoded(motion.clip, args, &plan).with_context(|| format!("{name}"))?,
     };
-    deliver(args, &stream, start)?;
-    say(args, &report, tips)
+    deliver(args, &coded.bytes, [start, coded.report.seconds])?;
+    say(args, &coded)
 }
 
 /// Says what is worth knowing of how a motion was read, and what to do about it.
@@ -169,19 +170,22 @@ const SIMPLE_FBA: u8 = 0x63;
 
 /// Seconds at which the poses of a clip begin, which a stream does not tell: that is said.
 fn start_of(clip: &PoseClip, args: &Args) -> f64 {
-    if let (false, None, Some(notice)) = (args.quiet, &args.with_video, notices::of_start(clip)) {
+    if let (None, Some(notice)) = (&args.clip, notices::of_start(clip)) {
         errln!("handcast: {notice}");
     }
     let first = clip.frames.iter().map(|frame| frame.time).fold(f64::INFINITY, f64::min);
     if first.is_finite() { first.max(0.0) } else { 0.0 }
 }
 
-/// Writes the stream, into an MP4 file if its name says so.
-fn deliver(args: &Args, stream: &[u8], start: f64) -> anyhow::Result<()> {
+/// Seconds by which a stream may end before the clip beside it, or behind it, without a word.
+const APART: f64 = 0.5;
+
+/// Writes the stream, into an MP4 file if its name says so; it begins at `start`, and lasts for so many `seconds`.
+fn deliver(args: &Args, stream: &[u8], [start, seconds]: [f64; 2]) -> anyhow::Result<()> {
     if ending(&args.output) != "mp4" {
         return write_output(&args.output, stream);
     }
-    let clip = args.with_video.as_deref().map(|path| read_input(path, None)).transpose()?;
+    let clip = args.clip.as_deref().map(|path| read_input(path, None)).transpose()?;
     // Only beside a clip it matters when the stream begins.
     let start = if clip.is_some() { start } else { 0.0 };
     let decoder = DecoderOptions {
@@ -189,10 +193,21 @@ fn deliver(args: &Args, stream: &[u8], start: f64) -> anyhow::Result<()> {
         ranges: args.rate.ranges.into(),
         ..DecoderOptions::default()
     };
+    if let (Some(path), Some(clip)) = (&args.clip, &clip)
+        && let Some(end) = pictures_end_at(clip)
+    {
+        let stream = pictures_start_at(clip) + start + seconds;
+        if (stream - end).abs() > APART {
+            errln!(
+                "handcast: the stream ends at {stream:.2} s, the pictures of {} at {end:.2} s: are the poses those of this clip?",
+                path.display()
+            );
+        }
+    }
     let options = MuxOptions::default().with_decoder(decoder).with_start(start).with_clip(clip);
     let file = mux(stream, &options);
-    let file = match &args.with_video {
-        Some(path) => file.with_context(|| format!("--with-video {}", path.display()))?,
+    let file = match &args.clip {
+        Some(path) => file.with_context(|| format!("--clip {}", path.display()))?,
         None => file?,
     };
     write_output(&args.output, &file)
@@ -209,9 +224,9 @@ fn encode_lines(reader: PoseReader<impl BufRead>, args: &Args, plan: &PlanOption
                 clip.header.forget_person();
             }
             let start = start_of(&clip, args);
-            let (stream, report, tips) = encoded(clip, args, plan).with_context(|| format!("{name}"))?;
-            deliver(args, &stream, start)?;
-            say(args, &report, tips)
+            let coded = encoded(clip, args, plan).with_context(|| format!("{name}"))?;
+            deliver(args, &coded.bytes, [start, coded.report.seconds])?;
+            say(args, &coded)
         }
     }
 }
@@ -229,7 +244,7 @@ fn pass_on(
     let end = |encoder: PoseEncoder| {
         let end = encoder.finish().with_context(|| format!("{name}"))?;
         pass(&end.bytes)?;
-        say(args, &end.report, end.tips)
+        say(args, &end)
     };
     let mut current: Option<(PoseEncoder, Vec<Side>)> = None;
     while let Some(pose) = reader.next() {
@@ -262,13 +277,16 @@ fn pass_on(
 }
 
 /// Says what the stream costs.
-fn say(args: &Args, report: &PlanReport, tips: Option<TipError>) -> anyhow::Result<()> {
+fn say(args: &Args, coded: &EncodedEnd) -> anyhow::Result<()> {
+    let EncodedEnd { report, tips, bridged, .. } = coded;
+    let tips = *tips;
     let notice = notices::of_report(args.rate.plan().mode, args.rate.live, report, tips);
     if let Some(notice) = &notice {
         errln!("handcast: {notice}");
     }
     if args.json {
         let mut account = account(report, tips);
+        account["bridged"] = (*bridged).into();
         account["notice"] = notice.into();
         let account = serde_json::to_string(&account)?;
         // The stream itself may be on standard output.
@@ -303,11 +321,11 @@ fn encode_by_epf(args: &Args, epf: &Path, bytes: &[u8], plan: &PlanOptions) -> a
     let frames = epf::read(String::from_utf8_lossy(&words).trim_start_matches('\u{feff}'))
         .with_context(|| format!("{}", epf.display()))?;
     let stream = encode_epf(&file, &frames, plan.steps)?;
-    if frames.len() != file.frames.len() && !args.quiet {
+    if frames.len() != file.frames.len() {
         let [names, has] = [frames.len(), file.frames.len()];
         errln!("handcast: {} names {names} planes, {name} has {has} frames", epf.display());
     }
-    deliver(args, &stream, 0.0)?;
+    deliver(args, &stream, [0.0; 2])?;
     if !args.quiet {
         errln!("{}: {} planes, {} bytes", args.output.display(), frames.len(), stream.len());
     }
@@ -315,30 +333,24 @@ fn encode_by_epf(args: &Args, epf: &Path, bytes: &[u8], plan: &PlanOptions) -> a
 }
 
 /// The stream of poses, which are let go before it is planned.
-fn encoded(
-    mut clip: PoseClip,
-    args: &Args,
-    plan: &PlanOptions,
-) -> anyhow::Result<(Vec<u8>, PlanReport, Option<TipError>)> {
+fn encoded(mut clip: PoseClip, args: &Args, plan: &PlanOptions) -> anyhow::Result<EncodedEnd> {
     let profile = args.rate.profile.into();
-    if !args.quiet {
-        notices::of_poses(&clip, profile).iter().for_each(|notice| errln!("handcast: {notice}"));
-    }
+    notices::of_poses(&clip, profile, args.rate.max_gap())
+        .iter()
+        .for_each(|notice| errln!("handcast: {notice}"));
     if args.rate.no_sizes {
         clip.header.forget_person();
     }
     let mut encoder = PoseEncoder::for_clip(&clip, profile, plan)?;
     check_span(&clip, encoder.rate())?;
-    if !args.quiet {
-        warn_of_uneven_times(&clip, encoder.rate());
-    }
-    let mut stream = encoder.push_all(poses_on_ticks(&clip, encoder.rate()))?;
+    warn_of_uneven_times(&clip, encoder.rate());
+    let mut stream = encoder.push_all(poses_on_ticks(&clip, encoder.rate(), args.rate.max_gap()))?;
     drop(clip);
     let bar = busy(!args.quiet && !args.json, "encoding");
     let end = encoder.finish()?;
     bar.finish_and_clear();
     stream.extend(end.bytes);
-    Ok((stream, end.report, end.tips))
+    Ok(EncodedEnd { bytes: stream, ..end })
 }
 
 /// How far fingertips are off as a viewer sees them, in words.

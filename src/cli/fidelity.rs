@@ -38,8 +38,8 @@ pub struct Args {
     #[arg(long, value_name = "FILE")]
     truth: Option<PathBuf>,
     /// Leave out the mirrored clip and motion, with the other hand
-    #[arg(long)]
-    no_mirror: bool,
+    #[arg(long, alias = "no-mirror")]
+    no_symmetry: bool,
     /// Leave out the rate over the error, which codes the motion two dozen times
     #[arg(long)]
     no_curve: bool,
@@ -83,8 +83,9 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let options = FidelityOptions {
         profile: args.rate.profile.into(),
         plan: args.rate.plan(),
+        max_gap: args.rate.max_gap(),
         curve: !args.no_curve,
-        mirror: !args.no_mirror,
+        mirror: !args.no_symmetry,
     };
     let input = input(args, folder.as_ref())?;
     if let Some(share) = args.loss.loss {
@@ -185,7 +186,7 @@ fn tracked(
     let mut measured = measure_clip(source, masks, &track, truth, &mut |read| bar.set_position(read as u64))?;
     bar.finish_and_clear();
     tell_shortfall(path, measured.clip.shortfall.as_deref());
-    if measured.seam.hands > 1 && !args.track.quiet {
+    if measured.seam.hands > 1 {
         errln!("handcast: {name}: two hands; the first is measured, --hand chooses");
     }
     if let Some(truth) = truth {

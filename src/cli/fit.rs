@@ -52,7 +52,7 @@ pub struct Args {
     /// Print the report as JSON
     #[arg(long)]
     json: bool,
-    /// No report on standard output
+    /// Neither progress nor report; warnings are told all the same
     #[arg(short, long)]
     quiet: bool,
 }
@@ -82,6 +82,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     write_person(&args.output, &person)?;
     let scale = f64::from(image.width()) / f64::from(stages.image.width());
     let report = Report::new(args, &found, &stages, scale);
+    // The report says it, too.
     if report.hand_assumed && (args.json || args.quiet) {
         errln!("handcast: {name}: that it is a {} hand is a guess: see --hand and --view", report.hand);
     }

@@ -67,7 +67,7 @@ pub struct GlbArgs {
     #[arg(long, value_enum, default_value_t = Names::Webxr)]
     pub names: Names,
     /// Axes of the joints (.glb)
-    #[arg(id = AXES, long = "axes", value_enum, value_name = "AXES", default_value_t = Axes::Bones)]
+    #[arg(id = AXES, long = "glb-axes", alias = "axes", value_enum, value_name = "AXES", default_value_t = Axes::Bones)]
     pub axes: Axes,
     /// Drop keys of the animation that interpolation reproduces within this many degrees, 0 to 90, each joint against the one
     /// above it (.glb, .vrma)
@@ -125,7 +125,7 @@ impl GlbArgs {
         let ending = if ending == "gltf" { "glb" } else { ending };
         let given = [
             ("--names", !matches!(self.names, Names::Webxr), ["glb", "bvh"]),
-            ("--axes", !matches!(self.axes, Axes::Bones), ["glb"; 2]),
+            ("--glb-axes", !matches!(self.axes, Axes::Bones), ["glb"; 2]),
             ("--tolerance", self.tolerance > 0.0, ["glb", "vrma"]),
             ("--anim-only", self.anim_only, ["glb"; 2]),
             ("--quantize", self.quantize, ["glb"; 2]),
@@ -138,8 +138,10 @@ impl GlbArgs {
             errln!("handcast: .{ending} is written without {}", idle.join(", "));
         }
         // A rig keeps what it is.
-        let own =
-            [("--names", !matches!(self.names, Names::Webxr)), ("--axes", !matches!(self.axes, Axes::Bones))];
+        let own = [
+            ("--names", !matches!(self.names, Names::Webxr)),
+            ("--glb-axes", !matches!(self.axes, Axes::Bones)),
+        ];
         for (name, given) in own {
             if given && self.mesh.is_some() && ending == "glb" {
                 errln!("handcast: {name} changes nothing of the hand of --mesh");

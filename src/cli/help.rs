@@ -68,7 +68,7 @@ handcast run clip.mp4 -o out --net mediapipe-0.10.21-*.whl",
         "\
 handcast encode poses.jsonl -o hand.fba --bitrate 1.5
 handcast encode hand.bvh -o hand.fba --max-error 3mm
-handcast encode poses.jsonl -o hand.mp4 --with-video clip.mp4
+handcast encode poses.jsonl -o hand.mp4 --clip clip.mp4
 handcast track clip.mp4 -o - | handcast encode - --live -o hand.fba",
     ),
     (
@@ -138,7 +138,7 @@ handcast synth -o two.avi --two-hands --meet",
         "corpus",
         "\
 handcast corpus clips/ -o out --jobs 8
-handcast corpus clips/ -o out --only \"*.mp4\" --retry",
+handcast corpus clips/ -o out --match \"*.mp4\" --retry",
     ),
     (
         "fidelity",
@@ -162,6 +162,12 @@ handcast bench codec recordings/ --svg curve.svg
 handcast bench codec recordings/ --bitrate 1.5",
     ),
     ("bench corpus", "handcast bench corpus clips/ --jobs 8"),
+    (
+        "bench gaps",
+        "\
+handcast bench gaps counting.jsonl flexions.jsonl
+handcast bench gaps poses.jsonl --target-rms 0.45 --seeds 10 --json",
+    ),
     ("bench fit", "handcast bench fit --persons 10 --verbose"),
     (
         "bench labels",

@@ -7,16 +7,19 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, ensure};
 use clap::Args as ClapArgs;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
+use handcast_codec::clip_rate;
 use handcast_formats::import::{ImportOptions, ImportReport, import_all};
 use handcast_formats::landmarks::{Axes, LandmarkClip};
 use handcast_formats::motion::{Content, Format, Motion, at_even_times, span};
 use handcast_formats::person::{check_name, read_person, write_person};
 use handcast_hand::landmarks::{LandmarkError, SolverOptions};
 use handcast_hand::smooth::SmoothOptions;
-use handcast_hand::{Morphology, Person, PoseClip};
+use handcast_hand::{Absence, MAX_GAP, Morphology, Person, PoseClip};
 use handcast_limits::Limit;
 
-use super::common::{HandOrAuto, field_of_view, hand_length, limits, open_input, read_filled, read_input};
+use super::common::{
+    HandOrAuto, check_span, field_of_view, gap, hand_length, limits, open_input, read_filled, read_input,
+};
 use super::given;
 use super::poses_out::OutArgs;
 use super::tracking::smoothing;
@@ -45,8 +48,8 @@ pub struct Args {
     #[arg(long, value_name = "MM", value_parser = hand_length)]
     hand_length_mm: Option<f64>,
     /// Axes of the points, where they are not those that files of this kind have (spec/landmarks.md).
-    #[arg(long, value_name = "AXES", value_parser = axes())]
-    axes: Option<Axes>,
+    #[arg(long, alias = "axes", value_name = "AXES", value_parser = axes())]
+    input_axes: Option<Axes>,
     /// Size of the picture that joints were found in, pixels, where the file does not tell: puts hands before the camera.
     #[arg(long, value_name = "WxH", value_parser = image_size)]
     image_size: Option<[f64; 2]>,
@@ -66,8 +69,9 @@ pub struct Args {
     /// Static joint limits only, without the couplings between neighbouring fingers.
     #[arg(long)]
     limits_only: bool,
-    /// Bridge gaps up to this many seconds, 0 to 86400.
-    #[arg(long, value_name = "S", default_value_t = 0.25, value_parser = gap)]
+    /// Bridge gaps up to this many seconds, 0 to 86400; those between poses that are written as they are only where this is
+    /// given.
+    #[arg(long, value_name = "S", default_value_t = MAX_GAP, value_parser = gap)]
     max_gap: f64,
     /// Smooth with a 1€ filter, forwards and then backwards, so that nothing lags: cut-off at rest in Hz, and its growth
     /// in Hz per degree per second [default when given alone: 0.5,0.02].
@@ -80,7 +84,7 @@ pub struct Args {
         value_parser = smoothing
     )]
     smooth: Option<SmoothOptions>,
-    /// Say nothing on success.
+    /// Neither progress nor report; warnings are told all the same.
     #[arg(short, long)]
     quiet: bool,
     #[command(flatten)]
@@ -92,7 +96,7 @@ fn solving() -> Vec<String> {
     given::among(&[
         "person",
         "hand_length_mm",
-        "axes",
+        "input_axes",
         "image_size",
         "tie",
         "no_twist",
@@ -135,7 +139,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
             dynamic: !args.limits_only,
             ..SolverOptions::default()
         },
-        axes: args.axes,
+        axes: args.input_axes,
         image_size: args.image_size,
         field_of_view: args.fov.to_radians(),
         max_gap: args.max_gap,
@@ -161,7 +165,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Writes poses as they are.
+/// Writes poses as they are, but for gaps that are to be bridged.
 fn written(args: &Args, mut poses: PoseClip, format: &Format) -> anyhow::Result<()> {
     let name = args.input.display();
     if let Some(side) = args.hand.known() {
@@ -174,6 +178,15 @@ fn written(args: &Args, mut poses: PoseClip, format: &Format) -> anyhow::Result<
     }
     let person = poses.person();
     ensure!(args.save_person.is_none() || person.is_some(), "{name}: it tells no sizes for --save-person");
+    if !given::among(&["max_gap"]).is_empty() {
+        let rate = clip_rate(&poses);
+        check_span(&poses, rate).with_context(|| format!("{name}"))?;
+        poses = poses.bridged(rate, args.max_gap);
+        let bridged = poses.frames.iter().filter(|pose| pose.why == Some(Absence::Bridged)).count();
+        if !args.quiet {
+            errln!("{name}: {bridged} poses interpolated in gaps");
+        }
+    }
     args.out.write(&args.output, poses, &Morphology::default(), format, serde_json::Map::new())?;
     match (&args.save_person, person) {
         (Some(path), Some(person)) => Ok(write_person(path, &person)?),
@@ -245,11 +258,9 @@ fn told<'a>(
     }
     given::note_idle(
         format_args!("{} has poses, which are written as they are", path.display()),
-        &["fov", "max_gap", "input_fps"],
+        &["fov", "input_fps"],
     );
-    if !args.quiet {
-        motion.notes.iter().for_each(|note| errln!("handcast: {}: {note}", path.display()));
-    }
+    motion.notes.iter().for_each(|note| errln!("handcast: {}: {note}", path.display()));
     // Keys are joined, as players do.
     let clip = if motion.keyed {
         at_even_times(motion.clip, limits()).with_context(|| path.display().to_string())?
@@ -302,11 +313,6 @@ fn tell(report: &ImportReport, args: &Args) {
         report.mean_distance * 1e3,
         report.max_distance * 1e3
     );
-}
-
-/// Seconds.
-fn gap(text: &str) -> Result<f64, String> {
-    within(text, 0.0..=86_400.0, "s")
 }
 
 fn rate(text: &str) -> Result<f64, String> {

@@ -70,8 +70,8 @@ pub struct Args {
     #[arg(long, value_name = "WxH", default_value = "640x480", value_parser = size)]
     size: [u32; 2],
     /// Pictures per second asked of the camera
-    #[arg(long, value_name = "HZ", default_value_t = 30.0, value_parser = positive)]
-    fps: f64,
+    #[arg(long, alias = "fps", value_name = "HZ", default_value_t = 30.0, value_parser = positive)]
+    input_fps: f64,
     /// Play a clip over and over
     #[arg(long = "loop")]
     again: bool,
@@ -164,8 +164,8 @@ impl Args {
     }
 
     fn source(&self) -> anyhow::Result<Source> {
-        let open = OpenOptions::default().with_rate(self.fps);
-        let camera = CameraOptions::default().with_size(self.size).with_rate(self.fps);
+        let open = OpenOptions::default().with_rate(self.input_fps);
+        let camera = CameraOptions::default().with_size(self.size).with_rate(self.input_fps);
         let piped = self.source.as_deref() == Some(Path::new("-"));
         let gone = match self.source.as_deref().map(Address::of).transpose()?.flatten() {
             Some(Address::Stream) => "a stream",
@@ -208,7 +208,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let info = source.info().clone();
     if source.is_clip() {
         given::note_idle("a clip is no camera", &["size"]);
-        given::note_idle_rate("the clip", info.rate, args.fps, "fps");
+        given::note_idle_rate("the clip", info.rate, args.input_fps, "input_fps");
     }
     let mut track = args.track.options(&info)?;
     // What is sent live cannot wait for fingers to bend.
@@ -239,7 +239,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
             None if slot.is_ended() => break,
             None => {}
         }
-        status.tell(&worker, &slot, &server);
+        status.tell(&mut worker, &slot, &server);
     }
     stop.store(true, Ordering::Relaxed);
     // Whatever went wrong, all is ended.

@@ -6,6 +6,7 @@ use handcast_eval::fidelity::{LossOptions, loss};
 use handcast_hand::PoseClip;
 
 use super::common::{RateArgs, write_output};
+use super::given;
 use super::usage::within;
 
 /// How packets are lost.
@@ -57,6 +58,7 @@ pub fn run(
     rate: &RateArgs,
     (output, json, quiet): (Option<&Path>, bool, bool),
 ) -> anyhow::Result<()> {
+    given::note_idle("losses are those of a live stream", &["max_gap"]);
     let options = LossOptions::default()
         .with_share(share)
         .with_burst(args.burst)

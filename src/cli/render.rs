@@ -71,7 +71,7 @@ pub struct Args {
     /// Transparent background (not in .gif and .mp4)
     #[arg(long)]
     transparent: bool,
-    /// No progress bar, and nothing said on success
+    /// Neither progress nor report; warnings are told all the same
     #[arg(short, long)]
     quiet: bool,
     #[command(flatten)]
@@ -147,6 +147,12 @@ fn choose<'a>(args: &Args, mut all: Vec<Instant<'a>>, animated: bool) -> Vec<Ins
         let count = wanted.unwrap_or(if animated { TURN.0 } else { SHEET.0 });
         let moment = |i: usize| Instant { time: i as f64 / TURN.1, hands: still.hands.clone() };
         return (0..count).map(moment).collect();
+    }
+    if let Some(wanted) = wanted.filter(|&wanted| wanted > all.len()) {
+        errln!(
+            "handcast: --frames {wanted}: the motion has {} instants, of which each is drawn once",
+            all.len()
+        );
     }
     let count = wanted.unwrap_or(if animated { all.len() } else { SHEET.0 });
     let mut chosen = spread(count, all.len()).into_iter().peekable();
@@ -340,6 +346,12 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     }
     let hand = args.hand.map_or(String::new(), |h| format!(" of a {} hand", Side::from(h).name()));
     ensure!(!all.is_empty(), "{}: no pose{hand} in it", args.motion.input.display());
+    if extension == "mp4" && (width % 2 == 1 || height % 2 == 1) {
+        let [w, h] = [width & !1, height & !1];
+        errln!(
+            "handcast: pictures of H.264 have even sizes: they are {w}x{h} pixels, the last column or row is left out"
+        );
+    }
     let background = if args.transparent { None } else { Style::default().background };
     let skin =
         args.tone.or(motion.clip.header.skin_tone).and_then(skin_tone).unwrap_or(Style::default().skin);

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, bail};
 use handcast_codec::notices;
 use handcast_codec::{
-    DecodedStream, EncodedClip, PoseDecoderOptions, TipError, clip_rate, decode_poses_within, encode_poses,
+    DecodedStream, EncodedClip, PoseDecoderOptions, TipError, clip_rate, decode_poses_within, encode_bridged,
 };
 use handcast_eval::fidelity::{AngleError, angle_error};
 use handcast_fba::DecoderOptions;
@@ -106,6 +106,8 @@ struct Report {
     stream_bytes: usize,
     kbit_per_s: f64,
     planes: u64,
+    /// Poses interpolated in gaps.
+    bridged: usize,
     coding_rms_deg: f64,
     coding_max_deg: f64,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -202,19 +204,18 @@ impl Work {
     fn encode(&self, poses: &PoseClip) -> anyhow::Result<(EncodedClip, Duration)> {
         let begun = Instant::now();
         let profile = self.rate.profile.into();
-        if !self.track.quiet {
-            notices::of_poses(poses, profile).iter().for_each(|notice| errln!("handcast: {notice}"));
-        }
+        notices::of_poses(poses, profile, self.rate.max_gap())
+            .iter()
+            .for_each(|notice| errln!("handcast: {notice}"));
         let without = self.rate.no_sizes.then(|| {
             let mut poses = poses.clone();
             poses.header.forget_person();
             poses
         });
         check_span(poses, clip_rate(poses))?;
-        let encoded = encode_poses(without.as_ref().unwrap_or(poses), profile, &self.rate.plan())?;
-        if let Some(rate) = encoded.clip.header.rate
-            && !self.track.quiet
-        {
+        let poses_sent = without.as_ref().unwrap_or(poses);
+        let encoded = encode_bridged(poses_sent, profile, &self.rate.plan(), self.rate.max_gap())?;
+        if let Some(rate) = encoded.clip.header.rate {
             warn_of_uneven_times(poses, rate);
         }
         Ok((encoded, begun.elapsed()))
@@ -322,6 +323,7 @@ impl Work {
             stream_bytes: bytes,
             kbit_per_s: plan.kbit_per_s(),
             planes: plan.planes,
+            bridged: encoded.bridged,
             coding_rms_deg: coding.rms_deg,
             coding_max_deg: coding.max_deg,
             tips_mm: encoded.tips.map(|tips| tips_mm(&tips)),

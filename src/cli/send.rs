@@ -37,7 +37,7 @@ pub struct Args {
     /// Leave out the rotation of the hand itself, for receivers that place hands themselves
     #[arg(long)]
     fingers: bool,
-    /// Say nothing but what goes wrong
+    /// Neither progress nor report; warnings are told all the same
     #[arg(short, long)]
     quiet: bool,
     #[command(flatten)]

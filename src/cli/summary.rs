@@ -149,7 +149,7 @@ impl HandTally {
         match frame.absent {
             Some(Absence::Touching) => self.touching.push(number),
             Some(Absence::NotYet) => self.not_yet_in.push(number),
-            Some(Absence::Lost) => self.lost.push(number),
+            Some(Absence::Lost | Absence::Bridged) => self.lost.push(number),
             None => {}
         }
         // Where it is lost there may be no hand to lie over.

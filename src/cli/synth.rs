@@ -102,7 +102,7 @@ pub struct Args {
     /// JPEG quality, 1 to 100: of an AVI clip, or of what PNG pictures have been through
     #[arg(long, value_name = "1-100", value_parser = clap::value_parser!(u8).range(1..=100))]
     quality: Option<u8>,
-    /// Say nothing on success
+    /// Neither progress nor report; warnings are told all the same
     #[arg(short, long)]
     quiet: bool,
 }

@@ -90,7 +90,7 @@ pub struct TrackArgs {
     /// Print the report as JSON
     #[arg(long, help_heading = None::<&'static str>)]
     pub json: bool,
-    /// No progress bar, no report on standard output
+    /// Neither progress nor report; warnings are told all the same
     #[arg(short, long, help_heading = None::<&'static str>)]
     pub quiet: bool,
 }
@@ -327,7 +327,7 @@ impl TrackArgs {
             let same = resumed.check_hands(&sides, journal);
             same.map_err(anyhow::Error::from).or_else(|error| resumed.keep(journal).and(Err(error)))?;
         }
-        if let Some(told) = self.view.known().filter(|_| !self.quiet) {
+        if let Some(told) = self.view.known() {
             for start in end.hands.iter().filter(|start| start.view != told) {
                 let [told, shown] = [told.name(), start.view.name()];
                 errln!(
@@ -373,10 +373,8 @@ impl TrackArgs {
         if let Some(rate) = source.info().rate.filter(|rate| *rate > MAX_RATE) {
             bail!("{}: {rate} pictures per second, allowed are up to {MAX_RATE}", path.display());
         }
-        if !self.quiet {
-            let told = source.info().notices();
-            told.iter().for_each(|notice| errln!("handcast: {}: {notice}", path.display()));
-        }
+        let told = source.info().notices();
+        told.iter().for_each(|notice| errln!("handcast: {}: {notice}", path.display()));
         let masks = self.mask.as_ref().map(|dir| handcast_media::open(dir, &open)).transpose()?;
         if let (Some(dir), Some(masks)) = (&self.mask, &masks) {
             check_masks(dir, masks.info(), path, source.info())?;

@@ -288,7 +288,7 @@ fn what_has_changed_is_done_anew_and_nothing_else() {
     fs::remove_file(input.join("hi.glb")).unwrap();
     assert_eq!(run(&["--quant", "12"]), [3, 0, 0]);
     assert_eq!(count(&out.join("manifest.jsonl")), 4);
-    assert_eq!(run(&["--quant", "12", "--only", "*.avi"]), [1, 0, 0]);
+    assert_eq!(run(&["--quant", "12", "--match", "*.avi"]), [1, 0, 0]);
     assert!(out.join("streams/hi.glb.fba").is_file());
     // A run with other settings that is ended before it has made a stream takes none away.
     let twelve = (lines(&out.join("manifest.jsonl")), streams(&out));

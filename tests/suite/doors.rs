@@ -175,7 +175,8 @@ fn results_of_mediapipe_come_out_the_right_way_up() {
         assert!(poses.frames.iter().all(|frame| frame.confidence == Some(0.9)));
     }
     // Upside down and back to front, where that is asked for.
-    let (poses, said) = imported(folder.path(), "b.json", &json!(all).to_string(), &["--axes", "webxr"]);
+    let (poses, said) =
+        imported(folder.path(), "b.json", &json!(all).to_string(), &["--input-axes", "webxr"]);
     assert!(said.contains("axes webxr (as asked)"), "{said}");
     assert!(apart(&truth, &poses)[1] > 150.0);
     // One of the two.

@@ -20,7 +20,7 @@ use handcast_fba::state::step;
 use handcast_formats::motion::Motion;
 use handcast_formats::poses::{read_poses, write_poses};
 use handcast_gltf::{Clip, ExportOptions, HandTrack, export};
-use handcast_hand::{JointAngle, PoseClip, PoseHeader, Side, TimedPose};
+use handcast_hand::{JointAngle, MAX_GAP, PoseClip, PoseHeader, Side, TimedPose};
 use handcast_media::{ClipInfo, Frame, FrameError, FrameSource};
 use handcast_track::pipeline::ClipOptions;
 
@@ -292,7 +292,7 @@ fn promises_of_every_mode_are_kept() {
     for (mode, profile) in modes.into_iter().flat_map(|m| [(m, Profile::Hand), (m, Profile::Arm)]) {
         for (live, derive) in [(false, false), (true, false), (false, true)] {
             let plan = PlanOptions { mode, live, derive, ..PlanOptions::default() };
-            let trip = round_trip(&clip, profile, &plan).unwrap();
+            let trip = round_trip(&clip, profile, &plan, MAX_GAP).unwrap();
             for seam in &trip.seams {
                 assert!(
                     seam.kept,
@@ -312,7 +312,8 @@ fn promises_of_every_mode_are_kept() {
 fn the_whole_way_keeps_every_promise_for_either_hand(motions: Motions) {
     for (name, clip) in motions {
         let plan = PlanOptions { mode: Target::Rms(0.4), ..PlanOptions::default() };
-        let trips = [&clip, &mirrored(&clip)].map(|clip| round_trip(clip, Profile::Hand, &plan).unwrap());
+        let trips =
+            [&clip, &mirrored(&clip)].map(|clip| round_trip(clip, Profile::Hand, &plan, MAX_GAP).unwrap());
         for trip in &trips {
             for seam in &trip.seams {
                 assert!(seam.kept, "{name}: {} {:?} {}", seam.name, seam.promise, seam.max_deg());

@@ -451,7 +451,7 @@ fn what_cannot_be_sent_is_said() {
     };
     misuse(&[DEMO, "--room", "a/b"], &["--room", "a/b", "1 to 64 letters"]);
     misuse(&[DEMO, "--vmc", "localhost:0"], &["--vmc", "1 to 65535"]);
-    misuse(&[DEMO, "--fps", "0"], &["--fps", "above 0"]);
+    misuse(&[DEMO, "--input-fps", "0"], &["--input-fps", "above 0"]);
     misuse(&[DEMO, "--mask", "no-masks"], &["--mask is of one clip"]);
     misuse(&[DEMO, "--target-rms", "nan"], &["--target-rms", "above 0"]);
     for token in ["a b", ""] {

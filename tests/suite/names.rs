@@ -203,7 +203,7 @@ fn names_are_text_in_reports() {
     let mut jobs = Jobs::default();
     for (n, input) in [&poses, &glb].into_iter().enumerate() {
         let page = html(n as u32);
-        done(&["fidelity", path(input), "-o", path(&page), "--no-mirror", "--no-curve"]);
+        done(&["fidelity", path(input), "-o", path(&page), "--no-symmetry", "--no-curve"]);
         jobs.add_file(&page, REPORT, FILE);
     }
     let options = FidelityOptions { curve: false, mirror: false, ..FidelityOptions::default() };

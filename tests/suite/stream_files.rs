@@ -250,7 +250,7 @@ fn every_command_reads_a_stream_in_an_mp4_file() {
     refused(&["decode", path(&at("cut.mp4")), "-o", path(&none)], &none, &["cut.mp4", "mp4: "]);
     let wrong = at("x.fba");
     let args = ["encode", path(&poses), "-o", path(&wrong), "--with-video", path(&mp4)];
-    misused(&args, &wrong, &["--with-video"]);
+    misused(&args, &wrong, &["--clip"]);
 }
 
 /// What `ffprobe` says of a file.

@@ -187,7 +187,7 @@ fn outputs_that_cannot_be_are_named() {
         "decode good.fba -o none/x.glb",
         "view good.jsonl -o none/x.html",
         "render good.jsonl -o none/x.png",
-        "fidelity good.jsonl --no-curve --no-mirror -o none/x.json",
+        "fidelity good.jsonl --no-curve --no-symmetry -o none/x.json",
         "pose asl:A -o none/x.glb",
         "spell HI -o none/x.glb",
         "synth --frames 2 --size 64x48 -o none/x.avi",
@@ -312,7 +312,7 @@ fn wrong_usage_is_told_apart() {
         ("synth -o - --frames 2", "not written to standard output"),
         ("bench track clip.avi --counts none --counts none", "--counts is given 2 times for 1 clips"),
         ("encode good.jsonl -o x.fba --epf words.fba", "--epf goes with a .bap file"),
-        ("encode good.jsonl -o x.fba --with-video clip.avi", "in an .mp4 alone"),
+        ("encode good.jsonl -o x.fba --clip clip.avi", "in an .mp4 alone"),
         ("track clip.avi -o - --resume", "--resume goes on from a file"),
         (
             "track clip.avi -o x.jsonl --person words.jsonl",
@@ -358,7 +358,7 @@ fn idle_options_are_told_of() {
         ("render good.jsonl -o x.png --steps standard", "good.jsonl is no stream: --steps changes nothing"),
         ("render good.fba -o x.png --steps standard", ""),
         ("encode good.jsonl -o x.fba --profile arm", ""),
-        ("import good.jsonl -o x.csv --max-gap 1", "--max-gap changes nothing"),
+        ("import good.jsonl -o x.csv --input-fps 20", "--input-fps changes nothing"),
         ("pose A -o x.jsonl --size 99x99", "--size changes nothing"),
     ] {
         let out = folder.run(line);

@@ -5,7 +5,7 @@ use std::borrow::Borrow;
 use handcast_fba::bap::{BapFrames, BapMask, TimedBapFrame, derive};
 use handcast_fba::plan::{PlanOptions, PlanReport};
 use handcast_fba::{DecodedFrame, Decoder, DecoderOptions, Record, SyntaxError};
-use handcast_hand::{MAX_FRAMES, PoseClip, Side, TimedPose};
+use handcast_hand::{Bridged, MAX_FRAMES, MAX_GAP, PoseClip, Side, TimedPose};
 use handcast_limits::{Excess, Limit, Limits};
 
 use crate::beat::rate_of_rounded;
@@ -14,6 +14,7 @@ use crate::decoder::{PlaneTotals, PoseDecoder, PoseDecoderOptions, hand_of, head
 use crate::encoder::{Holder, Moment, PoseEncoder, Ready};
 use crate::error::{PosesToStreamError, StreamToPosesError, is_passed_over};
 use crate::mapping::{Profile, sides};
+use crate::person::{differ, hands_of_record};
 use crate::ties::hand_ties;
 use crate::tips::TipError;
 
@@ -25,7 +26,8 @@ pub(crate) fn hands_of(clip: &PoseClip) -> Vec<Side> {
 
 /// The BAP frames of a clip, one for each instant at which any of its hands has a pose.
 ///
-/// A hand that is lost, or has no pose at an instant, keeps its last valid pose; before its first valid
+/// A hand that is lost, or has no pose at an instant, keeps its last valid pose, but where a gap is bridged
+/// ([`Absence::Bridged`](handcast_hand::Absence::Bridged)); before its first valid
 /// pose it already has that one. So the masks never change and no frame is dropped. One that has none at all is left out.
 ///
 /// # Errors
@@ -38,9 +40,7 @@ pub fn bap_frames(clip: &PoseClip, profile: Profile) -> Result<Vec<TimedBapFrame
     let mut frames = Vec::new();
     for group in order.chunk_by(|a, b| b.time - a.time < 1e-6) {
         let mut moment = Moment::at(group[0].time - start);
-        for timed in group.iter().filter(|f| f.valid) {
-            moment.poses[timed.pose.side as usize] = Some(Box::new(timed.pose.clone()));
-        }
+        group.iter().for_each(|timed| moment.put(timed));
         holder.take(moment);
         frames.extend(std::iter::from_fn(|| holder.next().map(Ready::frame)));
     }
@@ -72,17 +72,21 @@ pub fn clip_rate(clip: &PoseClip) -> f64 {
 
 /// The clip on the even ticks of a stream of `rate` frames per second, from 0. Clips with the beat of that rate keep their
 /// poses, each on the tick nearest to it, and where frames were dropped the ticks stay empty; others, such as recordings
-/// with uneven times, are interpolated at the ticks.
-pub fn on_ticks(clip: &PoseClip, rate: f64) -> PoseClip {
+/// with uneven times, are interpolated at the ticks. Gaps of up to `max_gap` seconds are bridged then ([`Bridged`]); of 0 none.
+pub fn on_ticks(clip: &PoseClip, rate: f64, max_gap: f64) -> PoseClip {
     let mut out = PoseClip { header: clip.header.clone(), frames: Vec::with_capacity(clip.frames.len()) };
     out.header.rate = Some(rate);
-    out.frames.extend(tracks_on_ticks(clip, rate).into_iter().flatten());
+    out.frames.extend(tracks_on_ticks(clip, rate, max_gap).into_iter().flatten());
     out
 }
 
 /// The poses of [`on_ticks`] one by one, in order of time: as a [`PoseEncoder`] takes them.
-pub fn poses_on_ticks(clip: &PoseClip, rate: f64) -> impl Iterator<Item = TimedPose> + Send + '_ {
-    let [mut left, mut right] = tracks_on_ticks(clip, rate).map(Iterator::peekable);
+pub fn poses_on_ticks(
+    clip: &PoseClip,
+    rate: f64,
+    max_gap: f64,
+) -> impl Iterator<Item = TimedPose> + Send + '_ {
+    let [mut left, mut right] = tracks_on_ticks(clip, rate, max_gap).map(Iterator::peekable);
     std::iter::from_fn(move || match (left.peek(), right.peek()) {
         (Some(l), Some(r)) if r.time < l.time => right.next(),
         (Some(_), _) => left.next(),
@@ -128,11 +132,15 @@ fn own_ticks_of(clip: &PoseClip, rate: f64) -> [Result<Vec<Option<f64>>, Vec<f64
     })
 }
 
-/// The poses of each hand on the ticks.
-fn tracks_on_ticks(clip: &PoseClip, rate: f64) -> [Box<dyn Iterator<Item = TimedPose> + Send + '_>; 2] {
+/// The poses of each hand on the ticks, with gaps bridged.
+pub(crate) fn tracks_on_ticks(
+    clip: &PoseClip,
+    rate: f64,
+    max_gap: f64,
+) -> [Bridged<'static, Box<dyn Iterator<Item = TimedPose> + Send + '_>>; 2] {
     let [left, right] = own_ticks_of(clip, rate);
-    [(Side::Left, left), (Side::Right, right)].map(|(side, ticks)| -> Box<dyn Iterator<Item = _> + Send> {
-        match ticks {
+    [(Side::Left, left), (Side::Right, right)].map(|(side, ticks)| {
+        let track: Box<dyn Iterator<Item = _> + Send> = match ticks {
             Ok(own) => {
                 let at = move |(f, tick): (&TimedPose, Option<f64>)| {
                     tick.map(|k| TimedPose { time: k / rate, ..f.clone() })
@@ -144,7 +152,8 @@ fn tracks_on_ticks(clip: &PoseClip, rate: f64) -> [Box<dyn Iterator<Item = Timed
                 let resampled = clip.resampled(side, rate, f64::INFINITY);
                 Box::new(resampled.into_iter().map(move |f| TimedPose { time: f.time + delay, ..f }))
             }
-        }
+        };
+        Bridged::new(track, 1.0 / rate, max_gap)
     })
 }
 
@@ -191,12 +200,14 @@ pub struct EncodedClip {
     pub report: PlanReport,
     /// How far its fingertips are off; none of a stream in which no hand moves.
     pub tips: Option<TipError>,
-    /// What was encoded: the clip on the ticks of the stream.
+    /// What was encoded: the clip on the ticks of the stream, with gaps bridged.
     pub clip: PoseClip,
+    /// Poses of all hands that were interpolated in gaps.
+    pub bridged: usize,
 }
 
 /// Encodes a clip with look-ahead (or frame by frame, as `options.live` says), on the even ticks of its
-/// own rate ([`clip_rate`], [`on_ticks`]); `options.rate` is not used.
+/// own rate ([`clip_rate`], [`on_ticks`]); `options.rate` is not used. With look-ahead gaps of up to [`MAX_GAP`] are bridged.
 ///
 /// # Errors
 /// See [`PosesToStreamError`].
@@ -205,17 +216,32 @@ pub fn encode_poses(
     profile: Profile,
     options: &PlanOptions,
 ) -> Result<EncodedClip, PosesToStreamError> {
+    encode_bridged(clip, profile, options, MAX_GAP)
+}
+
+/// As [`encode_poses`], with gaps of up to `max_gap` seconds bridged; of 0 none, and live neither, where what comes behind a gap
+/// is not known.
+///
+/// # Errors
+/// See [`PosesToStreamError`].
+pub fn encode_bridged(
+    clip: &PoseClip,
+    profile: Profile,
+    options: &PlanOptions,
+    max_gap: f64,
+) -> Result<EncodedClip, PosesToStreamError> {
+    let max_gap = if options.live { 0.0 } else { max_gap };
     let mut encoder = PoseEncoder::for_clip(clip, profile, options)?;
     let times = || clip.frames.iter().map(|f| f.time);
     let seconds = times().fold(f64::NEG_INFINITY, f64::max) - times().fold(f64::INFINITY, f64::min);
     if seconds * encoder.rate() >= MAX_FRAMES as f64 {
         return Err(PosesToStreamError::Span { seconds, rate: encoder.rate() });
     }
-    let mut stream = encoder.push_all(poses_on_ticks(clip, encoder.rate()))?;
-    let clip = on_ticks(clip, encoder.rate());
+    let mut stream = encoder.push_all(poses_on_ticks(clip, encoder.rate(), max_gap))?;
+    let clip = on_ticks(clip, encoder.rate(), max_gap);
     let end = encoder.finish()?;
     stream.extend(end.bytes);
-    Ok(EncodedClip { stream, report: end.report, tips: end.tips, clip })
+    Ok(EncodedClip { stream, report: end.report, tips: end.tips, clip, bridged: end.bridged })
 }
 
 /// A decoded stream.
@@ -268,6 +294,8 @@ pub struct DecodedBaps {
     pub streams: u32,
     /// Bytes behind the last stream's end code that begin no further one.
     pub trailing: u64,
+    /// The hands of which these streams tell different sizes: the record is the last stream's.
+    pub resized: Vec<Side>,
 }
 
 /// Bytes of a stream that a decoder is given at a time.
@@ -279,7 +307,7 @@ const PIECE: usize = 1 << 16;
 /// The first error of the decoder; with `options.conceal` nothing after the first plane is an error.
 pub fn decode_planes(bytes: &[u8], options: DecoderOptions) -> Result<Vec<DecodedFrame>, SyntaxError> {
     let mut planes = Vec::new();
-    each_plane(bytes, options, |plane| {
+    each_plane(bytes, options, |_, plane| {
         planes.push(plane);
         Ok::<(), SyntaxError>(())
     })?;
@@ -297,7 +325,11 @@ pub fn decode_baps(
 ) -> Result<DecodedBaps, StreamToPosesError> {
     let limit = usize::try_from(limits.instants).unwrap_or(usize::MAX);
     let (mut found, mut last) = (DecodedBaps::default(), None);
-    let (decoder, damage) = each_plane(bytes, options, |plane| {
+    let mut records: Vec<Record> = Vec::new();
+    let (decoder, damage) = each_plane(bytes, options, |decoder, plane| {
+        if !records.contains(decoder.record()) && records.len() < MAX_RECORDS {
+            records.push(*decoder.record());
+        }
         if found.planes == limit {
             return Err(StreamToPosesError::TooManyPoses { limit });
         }
@@ -316,14 +348,28 @@ pub fn decode_baps(
     found.passed_over = decoder.joined().map(|bit| bit / 8);
     found.streams = decoder.objects();
     found.trailing = decoder.trailing();
+    found.resized = resized(&records);
     Ok(found)
+}
+
+/// Records of joined streams that are compared with one another.
+const MAX_RECORDS: usize = 64;
+
+/// The hands of which these records tell different sizes.
+fn resized(records: &[Record]) -> Vec<Side> {
+    let differs = |side: &Side| {
+        let hands = records.iter().flat_map(hands_of_record).filter(|hand| hand.side == *side);
+        let mut sizes = hands.filter_map(|hand| hand.morphology);
+        sizes.next().is_some_and(|first| sizes.any(|other| differ(&first, &other)))
+    };
+    [Side::Left, Side::Right].into_iter().filter(differs).collect()
 }
 
 /// Gives `take` every plane of a whole stream, until it refuses one: the decoder at the end, and what was passed over.
 fn each_plane<E: From<SyntaxError>>(
     bytes: &[u8],
     options: DecoderOptions,
-    mut take: impl FnMut(DecodedFrame) -> Result<(), E>,
+    mut take: impl FnMut(&Decoder, DecodedFrame) -> Result<(), E>,
 ) -> Result<(Decoder, Damage), E> {
     let (mut decoder, mut damage) = (Decoder::new(options), Damage::default());
     let (mut before, mut any, mut ended) = (None, false, false);
@@ -333,7 +379,7 @@ fn each_plane<E: From<SyntaxError>>(
             Ok(Some(plane)) => {
                 any = true;
                 plane.damage.iter().for_each(|error| damage.add(error.clone()));
-                take(plane)?;
+                take(&decoder, plane)?;
             }
             Ok(None) => match pieces.next() {
                 Some(piece) => decoder.push(piece)?,
@@ -915,7 +961,7 @@ mod tests {
         for (i, frame) in clip.frames.iter_mut().enumerate() {
             frame.time += 0.5 + if i % 3 == 1 { 0.012 } else { 0.0 };
         }
-        let even = on_ticks(&clip, 30.0);
+        let even = on_ticks(&clip, 30.0, 0.0);
         assert_eq!(even.frames.len(), 60);
         for (i, frame) in even.frames.iter().enumerate() {
             assert!((frame.time - i as f64 / 30.0).abs() < 1e-9);
@@ -932,16 +978,58 @@ mod tests {
             frame.time = (frame.time * 1000.0).round() / 1000.0;
         }
         assert!(poses_keep(&dropping, 30.0));
-        let ticked = on_ticks(&dropping, 30.0);
+        let ticked = on_ticks(&dropping, 30.0, 0.0);
         assert_eq!(ticked.frames.len(), 59);
         for (own, placed) in dropping.frames.iter().zip(&ticked.frames) {
             assert_eq!(own.pose, placed.pose);
             assert!((own.time - placed.time).abs() < 1e-3);
         }
-        let stream = encode_poses(&dropping, Profile::Hand, &PlanOptions::default()).unwrap().stream;
-        let decoded = decode_poses(&stream, None, DecoderOptions::default()).unwrap().clip;
-        assert_eq!(decoded.frames.len(), 60);
-        assert_eq!(decoded.frames[20].pose, decoded.frames[19].pose);
+        for (max_gap, live) in [(0.0, false), (0.25, true), (0.25, false)] {
+            let plan = PlanOptions { live, mode: Target::MaxError(0.3), ..PlanOptions::default() };
+            let coded = encode_bridged(&dropping, Profile::Hand, &plan, max_gap).unwrap();
+            let decoded = decode_poses(&coded.stream, None, DecoderOptions::default()).unwrap().clip;
+            assert_eq!(decoded.frames.len(), 60);
+            let [before, there, behind] = [19, 20, 21].map(|i| &decoded.frames[i].pose);
+            if max_gap == 0.0 || live {
+                assert_eq!((there, coded.bridged), (before, 0));
+                continue;
+            }
+            let [given, added, next] = [19, 20, 21].map(|i| &coded.clip.frames[i]);
+            assert_eq!((coded.bridged, added.valid), (1, false));
+            assert_eq!(added.pose, given.pose.interpolated(&next.pose, 0.5));
+            let off = there.angles.iter().zip(&added.pose.angles).map(|(a, b)| (a - b).abs().to_degrees());
+            assert!(off.fold(0.0, f64::max) < 0.31 && there != before && there != behind);
+        }
+    }
+
+    /// What is interpolated counts in no error, and clips without gaps are coded as ever.
+    #[test]
+    fn bridged_gaps_are_in_no_account() {
+        let whole = clip(&[Side::Left, Side::Right]);
+        let coded = |clip: &PoseClip, max_gap: f64| {
+            encode_bridged(clip, Profile::Hand, &PlanOptions::default(), max_gap).unwrap()
+        };
+        assert_eq!(coded(&whole, 0.0).stream, coded(&whole, 1.0).stream);
+        let mut lost = whole.clone();
+        for frame in lost.frames.iter_mut().filter(|frame| frame.pose.side == Side::Left) {
+            let tick = (frame.time * 30.0).round() as usize;
+            frame.valid = !(20..24).contains(&tick) && !(40..50).contains(&tick);
+        }
+        let bridged = coded(&lost, 0.25);
+        assert_eq!(bridged.bridged, 4);
+        let decoded = decode_poses(&bridged.stream, None, DecoderOptions::default()).unwrap().clip;
+        let mut worst = 0.0f64;
+        for (given, shown) in lost.of(Side::Left).zip(decoded.of(Side::Left)).filter(|(given, _)| given.valid)
+        {
+            let off = given.pose.angles.iter().zip(&shown.pose.angles).map(|(a, b)| (a - b).abs());
+            worst = off.fold(worst, f64::max);
+        }
+        for (given, shown) in lost.of(Side::Right).zip(decoded.of(Side::Right)) {
+            let off = given.pose.angles.iter().zip(&shown.pose.angles).map(|(a, b)| (a - b).abs());
+            worst = off.fold(worst, f64::max);
+        }
+        let told = bridged.report.max_degrees;
+        assert!((worst.to_degrees() - told).abs() < 1e-3, "{} {told}", worst.to_degrees());
     }
 
     #[test]
@@ -972,7 +1060,7 @@ mod tests {
             }
         }
         assert!(poses_keep(&both, 30.0));
-        let ticked = on_ticks(&both, 30.0);
+        let ticked = on_ticks(&both, 30.0, 0.0);
         let times = |side| ticked.of(side).map(|f| f.time).collect::<Vec<_>>();
         let left = times(Side::Left);
         assert!(times(Side::Right).iter().all(|time| left.contains(time)));

@@ -99,7 +99,8 @@ type Finished = (Vec<u8>, PlanReport, Option<TipError>);
 /// Encodes poses as they come.
 ///
 /// A hand that is lost (`valid` false), or of which no pose comes at an instant, keeps its last valid pose; before its
-/// first valid pose it already has that one. Poses are put on the ticks of the stream's clock, which begins with the
+/// first valid pose it already has that one. Where a gap is bridged ([`Absence::Bridged`](handcast_hand::Absence::Bridged)) it
+/// goes by the pose on the way, which counts in no error. Poses are put on the ticks of the stream's clock, which begins with the
 /// first of them; those of two hands on one tick share a plane.
 ///
 /// Live ([`PlanOptions::live`]) the pose that makes a tick complete gives the bytes of its plane, from the moment on at
@@ -151,6 +152,8 @@ pub struct EncodedEnd {
     pub report: PlanReport,
     /// How far its fingertips are off; none of a stream in which no hand moves.
     pub tips: Option<TipError>,
+    /// Poses of all hands that were interpolated in gaps.
+    pub bridged: usize,
 }
 
 impl PoseEncoder {
@@ -296,12 +299,13 @@ impl PoseEncoder {
         if !self.front.holder.is_complete() {
             return Err(PosesToStreamError::Empty { frames: self.front.poses });
         }
+        let bridged = self.front.holder.bridged;
         let (rest, report, tips) = match self.tip_mm {
             Some(mm) => self.aimed(mm)?,
             None => finished(self.encoder, self.back)?,
         };
         self.bytes.extend(rest);
-        Ok(EncodedEnd { bytes: self.bytes, report, tips })
+        Ok(EncodedEnd { bytes: self.bytes, report, tips, bridged })
     }
 
     /// The cheapest of the plans tried that keeps fingertips within so many millimetres, or the one that comes nearest.
@@ -506,9 +510,7 @@ impl Front {
             self.end_moment();
         }
         let (_, moment) = self.moment.get_or_insert_with(|| (tick, Moment::at(time)));
-        if pose.valid {
-            moment.poses[side as usize] = Some(Box::new(pose.pose.clone()));
-        }
+        moment.put(pose);
         self.given[side as usize] = true;
         if self.given == self.holder.hands {
             self.end_moment();
@@ -548,17 +550,28 @@ impl Ready<'_> {
     }
 }
 
-/// An instant, and the valid poses of it, left and right.
+/// An instant, and the poses of it that are valid or bridge a gap, left and right.
 #[derive(Clone, Debug)]
 pub(crate) struct Moment {
     /// Seconds from the first pose.
     time: f64,
-    pub poses: [Option<Box<HandPose>>; 2],
+    poses: [Option<Box<HandPose>>; 2],
+    /// Which of them are valid.
+    valid: [bool; 2],
 }
 
 impl Moment {
     pub fn at(time: f64) -> Self {
-        Self { time, poses: [None, None] }
+        Self { time, poses: [None, None], valid: [false; 2] }
+    }
+
+    /// Puts a pose in it, where there is anything to go by.
+    pub fn put(&mut self, pose: &TimedPose) {
+        let side = pose.pose.side as usize;
+        if pose.is_shown() {
+            self.poses[side] = Some(Box::new(pose.pose.clone()));
+            self.valid[side] = pose.valid;
+        }
     }
 }
 
@@ -576,6 +589,8 @@ pub(crate) struct Holder {
     waiting: VecDeque<Moment>,
     /// The poses in force, left before right, once there is one of each hand.
     current: Vec<HandPose>,
+    /// Poses that bridged a gap.
+    bridged: usize,
 }
 
 impl Holder {
@@ -587,6 +602,7 @@ impl Holder {
             first: [None, None],
             waiting: VecDeque::new(),
             current: Vec::new(),
+            bridged: 0,
         }
     }
 
@@ -602,9 +618,9 @@ impl Holder {
     /// Takes the next instant.
     pub fn take(&mut self, moment: Moment) {
         if !self.is_complete() {
-            for (first, pose) in self.first.iter_mut().zip(&moment.poses) {
-                if first.is_none() {
-                    first.clone_from(pose);
+            for (hand, first) in self.first.iter_mut().enumerate() {
+                if first.is_none() && moment.valid[hand] {
+                    first.clone_from(&moment.poses[hand]);
                 }
             }
             if (0..2).all(|hand| self.hands[hand] == self.first[hand].is_some()) {
@@ -638,9 +654,13 @@ impl Holder {
     fn frame(&mut self, moment: Moment) -> Ready<'_> {
         let mut held = BapMask::EMPTY;
         for slot in &mut self.current {
-            match &moment.poses[slot.side as usize] {
-                Some(pose) => slot.clone_from(pose),
-                None => held = held.union(&hand_mask(slot.side, self.profile)),
+            let hand = slot.side as usize;
+            if let Some(pose) = &moment.poses[hand] {
+                slot.clone_from(pose);
+                self.bridged += usize::from(!moment.valid[hand]);
+            }
+            if !moment.valid[hand] {
+                held = held.union(&hand_mask(slot.side, self.profile));
             }
         }
         Ready { time: moment.time, held, poses: &self.current, mapper: &mut self.mapper }

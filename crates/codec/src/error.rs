@@ -76,14 +76,16 @@ impl PosesToStreamError {
     }
 
     /// That the numbers of a pose are finite.
-    pub(crate) fn check(index: usize, pose: &TimedPose) -> Result<(), Self> {
-        let HandPose { translation, rotation, angles, .. } = &pose.pose;
-        let time = std::iter::once(("the time", pose.time));
+    pub(crate) fn check(index: usize, timed: &TimedPose) -> Result<(), Self> {
+        let HandPose { translation, rotation, angles, .. } = &timed.pose;
+        let time = std::iter::once(("the time", timed.time));
         let place = translation.iter().map(|v| ("a coordinate of the wrist", *v));
         let turn = rotation.coords.iter().map(|v| ("a part of the rotation", *v));
         // What is lost has no pose.
-        let pose =
-            place.chain(turn).chain(angles.iter().map(|v| ("a joint angle", *v))).filter(|_| pose.valid);
+        let pose = place
+            .chain(turn)
+            .chain(angles.iter().map(|v| ("a joint angle", *v)))
+            .filter(|_| timed.is_shown());
         match time.chain(pose).find(|(_, value)| !value.is_finite()) {
             Some((what, value)) => Err(Self::NotFinite { index, what, value }),
             None => Ok(()),

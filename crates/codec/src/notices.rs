@@ -1,9 +1,9 @@
 //! What is worth saying of what was coded, in words: the command prints it, the Python package warns of it.
 
 use handcast_fba::plan::{PlanReport, Target};
-use handcast_hand::{PoseClip, Side, TimedPose};
+use handcast_hand::{Absence, Bridged, PoseClip, Side, TimedPose};
 
-use super::clip::{clip_rate, hands_of, poses_keep};
+use super::clip::{clip_rate, hands_of, poses_keep, tracks_on_ticks};
 use super::damage::Damage;
 use super::mapping::{Profile, REACH};
 use super::tips::TipError;
@@ -19,8 +19,8 @@ const LATE: f64 = 0.1;
 const EARLIEST_CLOCK: f64 = 86400.0;
 
 /// What a stream in this profile will not have of poses: wrists that are farther off than it says, and that a hand was lost, had
-/// no pose or came late.
-pub fn of_poses(clip: &PoseClip, profile: Profile) -> Vec<String> {
+/// no pose or came late; with gaps of up to `max_gap` seconds bridged.
+pub fn of_poses(clip: &PoseClip, profile: Profile, max_gap: f64) -> Vec<String> {
     let far = |frame: &&TimedPose| frame.valid && frame.pose.translation.amax() > REACH;
     let far = if profile == Profile::Hand { clip.frames.iter().filter(far).count() } else { 0 };
     let far = (far > 0).then(|| {
@@ -30,12 +30,20 @@ pub fn of_poses(clip: &PoseClip, profile: Profile) -> Vec<String> {
         )
     });
     let absences: Vec<Absences> =
-        hands_of(clip).into_iter().filter_map(|side| Absences::of(clip, side)).collect();
+        hands_of(clip).into_iter().filter_map(|side| Absences::of(clip, side, max_gap)).collect();
     let lost = absences.iter().map(|hand| hand.lost).sum::<usize>();
     let lost = (lost > 0).then(|| {
         format!("{lost} poses are of a lost hand: the last one seen is held, and the stream does not say so")
     });
-    far.into_iter().chain(lost).chain(absences.iter().flat_map(Absences::told)).collect()
+    let bridged = absences.iter().map(|hand| hand.bridged).sum::<usize>();
+    let bridged = (bridged > 0).then(|| {
+        format!(
+            "{bridged} poses in short gaps are interpolated between those before and behind, and the stream \
+             does not say so"
+        )
+    });
+    let told = absences.iter().flat_map(Absences::told);
+    far.into_iter().chain(bridged).chain(lost).chain(told).collect()
 }
 
 /// Frames in which a hand stands in a stream though no pose is of it.
@@ -49,11 +57,13 @@ struct Absences {
     lost: usize,
     /// Frames without a pose of it since.
     without: usize,
+    /// Those of either kind that are interpolated, in neither of these.
+    bridged: usize,
 }
 
 impl Absences {
     /// Those of a hand; none where it has no valid pose, and is left out.
-    fn of(clip: &PoseClip, side: Side) -> Option<Self> {
+    fn of(clip: &PoseClip, side: Side, max_gap: f64) -> Option<Self> {
         let rate = clip_rate(clip);
         let times = || clip.frames.iter().map(|frame| frame.time);
         let start = times().fold(f64::INFINITY, f64::min);
@@ -68,13 +78,33 @@ impl Absences {
             without += if gaps { frames.saturating_sub(1) } else { 0 };
             before = frame.time;
         }
-        Some(Self {
-            side,
-            first: seen - start,
-            before: ((seen - start) * rate).round() as usize,
-            lost: since().filter(|frame| !frame.valid).count(),
-            without: without + ((end - before) * rate).round() as usize,
-        })
+        without += ((end - before) * rate).round() as usize;
+        let lost = since().filter(|frame| !frame.valid).count();
+        let before = ((seen - start) * rate).round() as usize;
+        let all = Self { side, first: seen - start, before, lost, without, bridged: 0 };
+        if lost + without == 0 {
+            return Some(all);
+        }
+        let track = match gaps {
+            true => {
+                let [left, right] = tracks_on_ticks(clip, rate, max_gap);
+                if side == Side::Left { left } else { right }
+            }
+            // Nothing is missing between times that have no beat.
+            false => Bridged::new(Box::new(clip.of(side).cloned()) as Box<_>, f64::INFINITY, max_gap),
+        };
+        Some(all.without_bridged(track))
+    }
+
+    /// The same, when those that are not valid in a track of it are looked at.
+    fn without_bridged(self, track: impl Iterator<Item = TimedPose>) -> Self {
+        let [mut bridged, mut lost] = [0, 0];
+        for frame in track.skip_while(|frame| !frame.valid).filter(|frame| !frame.valid) {
+            *if frame.why == Some(Absence::Bridged) { &mut bridged } else { &mut lost } += 1;
+        }
+        let lost_no_more = self.lost.saturating_sub(lost);
+        let without = self.without.saturating_sub(bridged.saturating_sub(lost_no_more));
+        Self { lost, without, bridged, ..self }
     }
 
     fn told(&self) -> Vec<String> {
@@ -226,7 +256,7 @@ mod tests {
 
     #[test]
     fn frames_that_are_made_up_are_told() {
-        let told = |clip: &PoseClip| of_poses(clip, Profile::Hand);
+        let told = |clip: &PoseClip| of_poses(clip, Profile::Hand, 0.0);
         let whole = clip(&[Side::Right]);
         assert!(told(&whole).is_empty());
         let mut missing = whole.clone();
@@ -254,12 +284,39 @@ mod tests {
         assert!(said[1].starts_with("10 frames have no pose of the left hand"), "{said:?}");
     }
 
+    #[test]
+    fn what_is_interpolated_is_told_once() {
+        let told = |clip: &PoseClip| of_poses(clip, Profile::Hand, 0.25);
+        let mut gaps = clip(&[Side::Right]);
+        gaps.frames[10..13].iter_mut().for_each(|frame| frame.valid = false);
+        gaps.frames[40..52].iter_mut().for_each(|frame| frame.valid = false);
+        gaps.frames.drain(20..24);
+        gaps.frames.drain(11..12);
+        let said = told(&gaps);
+        assert!(said.len() == 2 && said[0].starts_with("7 poses in short gaps"), "{said:?}");
+        assert!(said[1].starts_with("12 poses are of a lost hand"), "{said:?}");
+        let said = of_poses(&gaps, Profile::Hand, 0.0);
+        assert!(said[0].starts_with("14 poses are") && said[1].starts_with("5 frames have"), "{said:?}");
+        // At times without a beat as well.
+        for (i, frame) in gaps.frames.iter_mut().enumerate() {
+            frame.time += 0.4 / 30.0 * (2.3 * i as f64).sin();
+        }
+        assert!(!poses_keep(&gaps, 30.0));
+        let said = told(&gaps);
+        assert!(
+            said.len() == 2
+                && said[0].starts_with("2 poses in short gaps")
+                && said[1].starts_with("12 poses"),
+            "{said:?}"
+        );
+    }
+
     /// A clock a little slower than the ticks leaves one empty now and then, in which nothing is missing.
     #[test]
     fn a_slow_clock_misses_nothing() {
         let mut slow = clip(&[Side::Right]);
         slow.frames.iter_mut().for_each(|frame| frame.time *= 30.0 / 29.97);
-        assert!(of_poses(&slow, Profile::Hand).is_empty());
+        assert!(of_poses(&slow, Profile::Hand, 0.25).is_empty());
     }
 
     #[test]

@@ -13,7 +13,7 @@ use handcast_codec::{
 use handcast_fba::bap::{BapFrame, BapMask, derive};
 use handcast_fba::plan::{LiveEncoder, PlanOptions, PlanReport, Target, encode_clip};
 use handcast_fba::{DecoderOptions, Encoder, EncoderConfig, ErrorKind, FrameRate, SyntaxError};
-use handcast_hand::{HandPose, JointAngle, PoseClip, PoseHeader, Side, TimedPose};
+use handcast_hand::{HandPose, JointAngle, MAX_GAP, PoseClip, PoseHeader, Side, TimedPose};
 use handcast_limits::Limits;
 use nalgebra::{UnitQuaternion, Vector3};
 use proptest::prelude::*;
@@ -470,10 +470,11 @@ proptest! {
     fn pushes_equal_a_pass_over_the_clip(clip in recording(), live: bool, arm: bool) {
         let profile = if arm { Profile::Arm } else { Profile::Hand };
         let options = for_hands(PlanOptions { rate: FrameRate::ASSUMED, ..plan(Target::Quant(9), live) });
-        let ticked = on_ticks(&clip, RATE);
+        let max_gap = if live { 0.0 } else { MAX_GAP };
+        let ticked = on_ticks(&clip, RATE, max_gap);
         let mut inorder: Vec<&TimedPose> = ticked.frames.iter().collect();
         inorder.sort_by(|a, b| a.time.total_cmp(&b.time));
-        prop_assert!(poses_on_ticks(&clip, RATE).eq(inorder.into_iter().cloned()));
+        prop_assert!(poses_on_ticks(&clip, RATE, max_gap).eq(inorder.into_iter().cloned()));
         let pushed = encode_poses(&clip, profile, &options);
         match bap_frames(&ticked, profile) {
             Ok(frames) => {

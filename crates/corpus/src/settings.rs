@@ -5,7 +5,7 @@ use handcast_fba::RangeRule;
 use handcast_fba::bap::StepTable;
 use handcast_fba::plan::{PlanOptions, Target};
 use handcast_hand::smooth::SmoothOptions;
-use handcast_hand::{Person, Side};
+use handcast_hand::{MAX_GAP, Person, Side};
 use handcast_track::View;
 use handcast_track::pipeline::{ClipOptions, FinderSource, Start};
 use serde::{Deserialize, Serialize};
@@ -147,17 +147,19 @@ pub struct EncodeSettings {
     pub visage_steps: bool,
     /// Range codes are taken as they are.
     pub undivided_ranges: bool,
+    /// Seconds up to which gaps are bridged; of 0 none.
+    pub max_gap: f64,
 }
 
 impl Default for EncodeSettings {
     fn default() -> Self {
-        Self::of(&PlanOptions::default(), Profile::Hand, false)
+        Self::of(&PlanOptions::default(), Profile::Hand, false, MAX_GAP)
     }
 }
 
 impl EncodeSettings {
     /// The settings that are these options.
-    pub fn of(plan: &PlanOptions, profile: Profile, no_sizes: bool) -> Self {
+    pub fn of(plan: &PlanOptions, profile: Profile, no_sizes: bool, max_gap: f64) -> Self {
         Self {
             aim: plan.mode.into(),
             intra_seconds: plan.intra_seconds,
@@ -170,6 +172,7 @@ impl EncodeSettings {
             arm: profile == Profile::Arm,
             visage_steps: plan.steps == StepTable::Visage,
             undivided_ranges: plan.ranges == RangeRule::Undivided,
+            max_gap,
         }
     }
 

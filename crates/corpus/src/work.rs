@@ -5,7 +5,7 @@ use std::io;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 
-use handcast_codec::{EncodedClip, clip_rate, encode_poses};
+use handcast_codec::{EncodedClip, clip_rate, encode_bridged};
 use handcast_formats::atomic::AtomicFile;
 use handcast_formats::motion::{Format, Motion, at_even_times, check_span};
 use handcast_formats::mp4;
@@ -198,7 +198,7 @@ impl Worker {
             clip.header.forget_person();
         }
         check_span(&clip, clip_rate(&clip), &self.limits).map_err(|error| told(&error))?;
-        let encoded = encode_poses(&clip, self.encode.profile(), &self.encode.plan());
+        let encoded = encode_bridged(&clip, self.encode.profile(), &self.encode.plan(), self.encode.max_gap);
         let EncodedClip { stream, report, clip, .. } = encoded.map_err(|error| told(&error))?;
         Ok(Made { kind, stream, rate: clip_rate(&clip), report, seen, shortfall: None })
     }

@@ -38,11 +38,11 @@ use handcast_codec::mapping::Profile;
 use handcast_codec::{
     PosesToStreamError, StreamToPosesError, clip_rate, for_hands, poses_from_frames_within, record_of,
 };
-use handcast_fba::FrameRate;
 use handcast_fba::bap::BapFrame;
 use handcast_fba::bap::text::{self, TextError};
 use handcast_fba::bap::{BapFrames, TimedBapFrame};
 use handcast_fba::plan::{PlanOptions, PlanReport, encode_clip};
+use handcast_fba::{DecoderOptions, FrameRate};
 use handcast_gltf::{ExportOptions, GltfError};
 use handcast_hand::clip::MAX_RATE;
 use handcast_hand::landmarks::LandmarkError;
@@ -357,6 +357,23 @@ impl Motion {
                 motion.map_err(|reason| MotionError::Content { path: path.into(), reason })
             }
         }
+    }
+
+    /// The same; a stream is decoded as `options` say.
+    ///
+    /// # Errors
+    /// See [`MotionError`].
+    pub fn parse_decoded(
+        path: &Path,
+        bytes: &[u8],
+        options: DecoderOptions,
+        limits: &Limits,
+    ) -> Result<Self, MotionError> {
+        if bytes.is_empty() || Format::of(path, bytes).is_none_or(|format| format.id != "fba") {
+            return Self::parse_within(path, bytes, limits);
+        }
+        let motion = stream::read(bytes, options, limits).and_then(|motion| motion.sound(limits));
+        motion.map_err(|reason| MotionError::Content { path: path.into(), reason })
     }
 
     /// The same, if it may be so long, and its poses are sound.

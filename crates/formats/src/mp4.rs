@@ -25,7 +25,7 @@ use handcast_fba::{DecoderOptions, FrameRate, PlaneKind, SyntaxError};
 use thiserror::Error;
 
 use boxes::Out;
-pub use read::{is_stream_alone, starts_at, stream_in};
+pub use read::{is_stream_alone, pictures_end_at, pictures_start_at, starts_at, stream_in};
 
 /// Most bytes of an MP4 file that may be a stream and no clip, as is taken for granted of larger ones: a day of a stream
 /// has fewer.

@@ -622,6 +622,7 @@ pub(super) fn push_frame(out: &mut Vec<u8>, frame: &TimedPose) {
             Absence::Lost => "lost",
             Absence::Touching => "touching",
             Absence::NotYet => "not-yet",
+            Absence::Bridged => "bridged",
         };
         out.extend_from_slice(format!(",\"why\":\"{why}\"").as_bytes());
     }

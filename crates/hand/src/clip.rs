@@ -40,6 +40,9 @@ pub enum Absence {
     Touching,
     /// It has not been seen open yet.
     NotYet,
+    /// It was not found, or there was no picture; the pose given is on the way from the one before to the one behind
+    /// ([`Bridged`](crate::Bridged)).
+    Bridged,
 }
 
 /// One hand at one instant of a recording.
@@ -68,6 +71,11 @@ impl TimedPose {
     /// An instant at which the hand was lost; the pose is neutral.
     pub fn lost(time: f64, side: Side) -> Self {
         Self { valid: false, ..Self::new(time, HandPose::neutral(side)) }
+    }
+
+    /// Whether a stream goes by its pose: it is valid, or stands between two that are.
+    pub fn is_shown(&self) -> bool {
+        self.valid || self.why == Some(Absence::Bridged)
     }
 }
 

@@ -8,6 +8,7 @@
 //! for both hands; the signs of the MPEG-4 standard live in `handcast_codec::mapping` only.
 
 pub mod anthropometry;
+mod bridge;
 pub mod clip;
 mod constraints;
 mod extended;
@@ -27,6 +28,7 @@ pub mod smooth;
 mod srgb;
 pub mod turns;
 
+pub use bridge::{Bridged, MAX_GAP};
 pub use clip::{
     Absence, ClipHand, FrameCheck, MAX_FRAMES, MAX_TIME, PoseClip, PoseClipError, PoseHeader, TimedPose,
 };

@@ -9,7 +9,7 @@ use handcast_corpus::{Choice, Item, Outcome, Settings};
 use pyo3::prelude::*;
 
 use crate::options::{
-    Net, check_fov, check_hand_length, check_intra, check_smooth, check_target, finder, name_of,
+    Net, check_fov, check_gap, check_hand_length, check_intra, check_smooth, check_target, finder, name_of,
 };
 use crate::threads::with_threads;
 use crate::{Error, wrong};
@@ -25,6 +25,7 @@ fn settings_of(text: &str) -> PyResult<Settings> {
         track.smooth.map(check_smooth).transpose()?;
         track.person.as_ref().map_or(Ok(()), |person| person.morphology.validate()).map_err(|e| wrong(&e))?;
         check_intra("intra_seconds", encode.intra_seconds)?;
+        check_gap("max_gap", encode.max_gap)?;
         check_target(encode.aim.into())
     };
     check().map_err(|error| Python::attach(|py| named(error.value(py))))?;

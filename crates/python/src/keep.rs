@@ -17,7 +17,7 @@ use crate::{Error, wrong};
 /// Numbers of a pose before its angles.
 const BEFORE: usize = 13;
 const COLUMNS: usize = BEFORE + JointAngle::COUNT;
-const ABSENCES: [Absence; 3] = [Absence::Lost, Absence::Touching, Absence::NotYet];
+const ABSENCES: [Absence; 4] = [Absence::Lost, Absence::Touching, Absence::NotYet, Absence::Bridged];
 
 /// What makes the object again, and of what.
 pub type Kept<'py, A> = PyResult<(Bound<'py, PyAny>, A)>;

@@ -17,9 +17,9 @@ pub fn warn(py: Python<'_>, notices: &[String]) -> PyResult<()> {
     notices.iter().try_for_each(|notice| PyErr::warn(py, &kind, &CString::new(notice.as_str())?, 1))
 }
 
-/// What a stream will not have of a clip as it is.
-pub fn of_clip(clip: &PoseClip) -> Vec<String> {
-    let mut notices = handcast::codec::notices::of_poses(clip, Profile::Hand);
+/// What a stream will not have of a clip as it is, with gaps of up to so many seconds bridged.
+pub fn of_clip(clip: &PoseClip, max_gap: f64) -> Vec<String> {
+    let mut notices = handcast::codec::notices::of_poses(clip, Profile::Hand, max_gap);
     notices.extend(handcast::codec::notices::of_start(clip));
     notices.extend(FrameRate::nearest(clip_rate(clip)).and_then(|rate| of_times(clip, rate.per_second())));
     notices

@@ -80,6 +80,11 @@ pub fn check_intra(what: &str, value: f64) -> PyResult<f64> {
     positive(what, value)
 }
 
+/// Seconds of a gap that is bridged.
+pub fn check_gap(what: &str, value: f64) -> PyResult<f64> {
+    within(what, value, [0.0, 86_400.0])
+}
+
 /// What the encoder aims at.
 pub fn check_target(target: Target) -> PyResult<Target> {
     match target {

@@ -6,14 +6,16 @@ use std::sync::{Arc, LazyLock};
 use handcast::codec::mapping::Profile;
 use handcast::formats::motion::{Format, Motion, WriteOptions, at_even_times, even_rate};
 use handcast::gltf::{ExportOptions, Skins};
-use handcast::{DecoderOptions, PlanOptions, decode_poses, encode_poses};
+use handcast::codec::encode_bridged;
+use handcast::hand::MAX_GAP;
+use handcast::{DecoderOptions, PlanOptions, decode_poses};
 use handcast_limits::Limits;
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
 
 use crate::arrays::bytes;
 use crate::clip::Clip;
-use crate::options::{check_intra, target};
+use crate::options::{check_gap, check_intra, target};
 use crate::wait::apart;
 use crate::{Error, notices, wrong, wrong_file};
 
@@ -22,13 +24,14 @@ use crate::{Error, notices, wrong, wrong_file};
 /// One aim at most: target_rms in degrees (0.4 by default), max_error of an angle in degrees (0.15 to 180), max_error_mm of
 /// a fingertip in millimetres (0.75 to 1000), bitrate in kbit/s, quant 0 to 31. intra: seconds between I planes; resync:
 /// each of them can be started at, as with live, which plans without look-ahead. sizes=False leaves out the person's sizes
-/// and tone of skin. What load() read of a stream or BAP text is coded anew from its BAPs.
+/// and tone of skin. Gaps of up to max_gap seconds between two valid poses are interpolated, longer ones hold the last pose; so
+/// do all with live, or 0. What load() read of a stream or BAP text is coded anew from its BAPs.
 ///
-/// Warns (HandcastWarning) of wrists out of reach, of lost poses, which the stream holds as if they were seen, of times that
+/// Warns (HandcastWarning) of wrists out of reach, of lost poses, which the stream interpolates or holds as if they were seen, of times that
 /// are resampled, that begin late, and of aims that were missed. Raises Error for what cannot be coded. Ctrl-C ends the wait.
 #[pyfunction]
 #[pyo3(signature = (clip, *, target_rms=None, max_error=None, max_error_mm=None, bitrate=None, quant=None, intra=5.0,
-    resync=false, live=false, sizes=true))]
+    resync=false, live=false, sizes=true, max_gap=MAX_GAP))]
 #[expect(clippy::too_many_arguments, reason = "keywords")]
 pub fn encode<'py>(
     py: Python<'py>,
@@ -42,9 +45,11 @@ pub fn encode<'py>(
     resync: bool,
     live: bool,
     sizes: bool,
+    max_gap: f64,
 ) -> PyResult<Bound<'py, PyBytes>> {
     let mode = target(target_rms, max_error, max_error_mm, bitrate, quant)?;
     check_intra("intra", intra)?;
+    let max_gap = if live { 0.0 } else { check_gap("max_gap", max_gap)? };
     let resync = resync || live;
     let plan = PlanOptions { mode, live, intra_seconds: intra, resync, ..PlanOptions::default() };
     let (mut poses, baps) = (Arc::clone(&clip.poses), clip.baps.clone());
@@ -57,8 +62,8 @@ pub fn encode<'py>(
             Ok((stream, report, None, Vec::new()))
         }
         None => {
-            let said = notices::of_clip(&poses);
-            let made = encode_poses(&poses, Profile::Hand, &plan).map_err(|error| wrong(&error))?;
+            let said = notices::of_clip(&poses, max_gap);
+            let made = encode_bridged(&poses, Profile::Hand, &plan, max_gap).map_err(|error| wrong(&error))?;
             Ok((made.stream, made.report, made.tips, said))
         }
     })?;

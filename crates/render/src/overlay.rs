@@ -67,7 +67,7 @@ fn shown(absent: Option<Absence>, confidence: f64) -> Option<(Rgb<u8>, String)> 
     Some(match absent {
         Some(Absence::NotYet) => return None,
         Some(Absence::Touching) => (TOUCHING, "touching".into()),
-        Some(Absence::Lost) => (LOST_HAND, "lost".into()),
+        Some(Absence::Lost | Absence::Bridged) => (LOST_HAND, "lost".into()),
         None if confidence < GOOD_CONFIDENCE => (DOUBTFUL, format!("{confidence:.2} doubtful")),
         None => (GOOD, format!("{confidence:.2}")),
     })

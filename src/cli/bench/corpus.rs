@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, ensure};
 use handcast_codec::decode_poses;
-use handcast_corpus::{Choice, Corpus, EncodeSettings, Kind, Outcome, Settings, Worker};
+use handcast_corpus::{Choice, Corpus, Kind, Outcome, Settings, Worker};
 use handcast_fba::DecoderOptions;
 use handcast_formats::motion::{Format, WriteOptions};
 
@@ -70,9 +70,7 @@ impl Cost {
 pub fn run(args: &Args) -> anyhow::Result<()> {
     let folder = Scratch::new("corpus")?;
     let (track, finder) = args.track.settings()?;
-    let plan = args.rate.plan();
-    let settings =
-        Settings { track, encode: EncodeSettings::of(&plan, args.rate.profile.into(), args.rate.no_sizes) };
+    let settings = Settings { track, encode: args.rate.settings() };
     let mut corpus = Corpus::open(&args.input, &folder.0, &settings, &Choice::default())?;
     let worker =
         Worker::new(&args.input, &folder.0, &settings).with_finder(finder).with_limits(limits().clone());

@@ -23,7 +23,7 @@ pub struct Args {
     /// Table to write, as Markdown (- for standard output)
     #[arg(short, long, value_name = "FILE", default_value = "-")]
     output: PathBuf,
-    /// No progress bar
+    /// Neither progress nor report; warnings are told all the same
     #[arg(short, long)]
     quiet: bool,
 }

@@ -43,8 +43,12 @@ impl Status {
         Self { quiet, json, bar, begun: None, last: None }
     }
 
-    /// Says how it goes, if it is time.
-    pub fn tell(&mut self, worker: &Worker, slot: &Slot, server: &Server) {
+    /// Says how it goes, if it is time, and that no hand is seen.
+    pub fn tell(&mut self, worker: &mut Worker, slot: &Slot, server: &Server) {
+        if let Some(notice) = worker.take_notice() {
+            let say = || errln!("handcast: {notice}");
+            self.bar.as_ref().map_or_else(say, |bar| bar.suspend(say));
+        }
         let every = Duration::from_secs(if self.bar.is_some() { 1 } else { 5 });
         if self.last.is_some_and(|last| last.at.elapsed() < every) {
             return;
@@ -53,8 +57,13 @@ impl Status {
         if let Some(last) = self.last.replace(now)
             && !self.quiet
         {
-            let trouble = worker.trouble.as_ref().map_or_else(String::new, |trouble| format!("; {trouble}"));
-            let line = format!("{}{trouble}", Rates::between(&last, &now));
+            let rates = Rates::between(&last, &now);
+            let line = match (&worker.trouble, &self.bar) {
+                (None, _) => rates.to_string(),
+                // A terminal cuts what is behind.
+                (Some(trouble), Some(_)) => format!("{trouble}; {rates}"),
+                (Some(trouble), None) => format!("{rates}; {trouble}"),
+            };
             match &self.bar {
                 Some(bar) => {
                     bar.set_message(line);

@@ -71,6 +71,38 @@ pub struct Worker {
     pub spent: Spent,
     /// Why no hand is followed, or what went wrong.
     pub trouble: Option<String>,
+    absence: Absence,
+}
+
+/// Seconds without a hand after which that is said.
+const LONG: f64 = 5.0;
+
+/// How long no hand has been seen, and what was said of it.
+#[derive(Default)]
+struct Absence {
+    /// Seconds of the first picture without one.
+    since: Option<f64>,
+    /// Whether it was said that there is none, and why the tracker gave up.
+    told: [bool; 2],
+    given_up: bool,
+    /// What is to be said.
+    notice: Option<String>,
+}
+
+impl Absence {
+    /// Takes the next picture, and why no hand is in it.
+    fn go_on(&mut self, seconds: f64, seen: bool, why: Option<&str>) {
+        if seen {
+            *self = Self::default();
+            return;
+        }
+        let since = *self.since.get_or_insert(seconds);
+        let told = &mut self.told[usize::from(self.given_up)];
+        if seconds - since >= LONG && !std::mem::replace(told, true) {
+            let why = why.unwrap_or("it has left the picture, or looks like what is behind it");
+            self.notice = Some(format!("no hand has been seen for {:.0} s: {why}", seconds - since));
+        }
+    }
 }
 
 impl Worker {
@@ -93,6 +125,7 @@ impl Worker {
             last: (0.0, 0),
             spent: Spent::default(),
             trouble: Some("spread the five fingers once".into()),
+            absence: Absence::default(),
         }
     }
 
@@ -121,10 +154,12 @@ impl Worker {
             poses = &[];
         }
         self.spent.tracked += tracked - begun;
-        if poses.iter().any(|pose| pose.valid) {
+        let seen = poses.iter().any(|pose| pose.valid);
+        if seen {
             self.spent.seen += 1;
             self.trouble = None;
         }
+        self.absence.go_on(seconds, seen, self.trouble.as_deref());
         if publisher.wants_intra() {
             self.sender.request_intra();
         }
@@ -140,9 +175,15 @@ impl Worker {
         Ok(())
     }
 
+    /// That no hand has been seen for long, once.
+    pub fn take_notice(&mut self) -> Option<String> {
+        self.absence.notice.take()
+    }
+
     /// A tracker that has given up gives way to a new one.
     fn restart(&mut self, error: &ClipError) {
         self.trouble = Some(error.to_string());
+        self.absence.given_up = true;
         self.tracker = Tracker::new(self.options.clone());
         self.beginning = Beginning::default();
     }
@@ -287,6 +328,24 @@ mod tests {
         let mut beginning = Beginning::default();
         let passed = [late; 5].map(|age| beginning.passes(age));
         assert_eq!(passed, [true, true, true, false, false]);
+    }
+
+    #[test]
+    fn that_no_hand_is_seen_is_said_once_a_spell() {
+        let mut absence = Absence::default();
+        let mut said = Vec::new();
+        for second in 0..40 {
+            absence.given_up |= second == 12;
+            let why = if second < 20 { Some("spread the fingers") } else { None };
+            absence.go_on(f64::from(second), second == 20, why);
+            said.extend(absence.notice.take());
+        }
+        assert_eq!(said.len(), 3, "{said:?}");
+        assert!(
+            said[0] == "no hand has been seen for 5 s: spread the fingers" && said[1].contains("12 s"),
+            "{said:?}"
+        );
+        assert!(said[2].starts_with("no hand has been seen for 5 s: it has left"), "{said:?}");
     }
 
     #[test]

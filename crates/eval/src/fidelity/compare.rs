@@ -589,7 +589,7 @@ mod tests {
             frame.time += 0.45 / 30.0 * (2.3 * number as f64).sin();
             frame.pose.set(BEND, (50.0 * (3.0 * frame.time).sin()).to_radians());
         }
-        let even = handcast_codec::on_ticks(&recorded, 30.0);
+        let even = handcast_codec::on_ticks(&recorded, 30.0, 0.0);
         assert!(even.frames.windows(2).all(|pair| (pair[1].time - pair[0].time - 1.0 / 30.0).abs() < 1e-9));
         for (a, b, uneven) in [(&recorded, &even, [true, false]), (&even, &recorded, [false, true])] {
             let found = compare(a, b, &CompareOptions::default());

@@ -222,7 +222,7 @@ fn sent(clip: &PoseClip, options: &LossOptions) -> Result<(Vec<Vec<u8>>, LossRep
     let rate = encoder.rate();
     let mut packets: Vec<Vec<u8>> = Vec::new();
     let mut last = f64::NEG_INFINITY;
-    for pose in poses_on_ticks(clip, rate) {
+    for pose in poses_on_ticks(clip, rate, 0.0) {
         if pose.time > last + 0.5 / rate {
             packets.push(Vec::new());
             last = pose.time;

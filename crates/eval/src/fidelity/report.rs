@@ -13,7 +13,7 @@ use handcast_codec::mapping::Profile;
 use handcast_fba::FrameRate;
 use handcast_fba::plan::PlanOptions;
 use handcast_formats::import::ImportReport;
-use handcast_hand::PoseClip;
+use handcast_hand::{MAX_GAP, PoseClip};
 
 /// Degrees of freedom of a hand in space, behind its joint angles in [`TrackingReport::dofs`](super::TrackingReport::dofs).
 const GLOBAL_DOFS: usize = 6;
@@ -25,6 +25,8 @@ pub struct FidelityOptions {
     pub profile: Profile,
     /// The encoder's settings.
     pub plan: PlanOptions,
+    /// Seconds up to which gaps are bridged; of 0 none.
+    pub max_gap: f64,
     /// Whether the rate is measured over the error, which codes the clip two dozen times.
     pub curve: bool,
     /// Whether the mirrored motion is measured, too.
@@ -33,7 +35,13 @@ pub struct FidelityOptions {
 
 impl Default for FidelityOptions {
     fn default() -> Self {
-        Self { profile: Profile::Hand, plan: PlanOptions::default(), curve: true, mirror: true }
+        Self {
+            profile: Profile::Hand,
+            plan: PlanOptions::default(),
+            max_gap: MAX_GAP,
+            curve: true,
+            mirror: true,
+        }
     }
 }
 
@@ -134,8 +142,8 @@ pub fn measure(
     clip: &PoseClip,
     options: &FidelityOptions,
 ) -> Result<(FidelityReport, RoundTrip), FidelityError> {
-    let FidelityOptions { profile, plan, .. } = *options;
-    let trip = round_trip(clip, profile, &plan)?;
+    let FidelityOptions { profile, plan, max_gap, .. } = *options;
+    let trip = round_trip(clip, profile, &plan, max_gap)?;
     let rate = trip.decoded.rate;
     // The live encoder is told the rate; the planner finds it in the clip.
     let live = PlanOptions { rate: FrameRate::nearest(rate).unwrap_or(plan.rate), ..plan };
@@ -149,9 +157,9 @@ pub fn measure(
         import: None,
         seams: trip.seams.clone(),
         stream: account(&trip.encoded, &plan)?,
-        curve: if options.curve { Some(rate_curve(clip, profile, &plan)?) } else { None },
+        curve: if options.curve { Some(rate_curve(clip, profile, &plan, max_gap)?) } else { None },
         latency: of_link(&trip.encoded.clip, profile, &live)?,
-        symmetry: if options.mirror { Some(symmetry(clip, profile, &plan, &trip)?) } else { None },
+        symmetry: if options.mirror { Some(symmetry(clip, profile, &plan, max_gap, &trip)?) } else { None },
     };
     Ok((report, trip))
 }

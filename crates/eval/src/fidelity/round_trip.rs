@@ -8,7 +8,7 @@ use super::sampling::sampling;
 use handcast_codec::mapping::{Profile, angle_bap};
 use handcast_codec::{
     DecodedStream, EncodedClip, PoseDecoderOptions, PosesToStreamError, StreamToPosesError, bap_frames,
-    clip_rate, decode_poses_within, encode_poses, on_ticks, poses_from_frames,
+    clip_rate, decode_poses_within, encode_bridged, on_ticks, poses_from_frames,
 };
 use handcast_fba::bap::text::TextError;
 use handcast_fba::bap::{PER_RADIAN, StepTable};
@@ -149,15 +149,20 @@ pub struct RoundTrip {
 
 /// Sends the poses of `clip` through BAPs, BAP text, a stream, and glTF, and measures at each seam, in the frames in which the
 /// clip has the hand: what is held in others is nobody's. BAPs have no sizes, so that both sides of their seams are of the
-/// clip's; over all of the way fingertips come out on the sizes that the stream carries, rounded ones.
+/// clip's; with look-ahead gaps of up to `max_gap` seconds are bridged. Over all of the way fingertips come out on the sizes that the stream carries, rounded ones.
 ///
 /// # Errors
 /// See [`FidelityError`]; a seam that does not keep its promise is no error.
-pub fn round_trip(clip: &PoseClip, profile: Profile, plan: &PlanOptions) -> Result<RoundTrip, FidelityError> {
+pub fn round_trip(
+    clip: &PoseClip,
+    profile: Profile,
+    plan: &PlanOptions,
+    max_gap: f64,
+) -> Result<RoundTrip, FidelityError> {
     let rate = clip_rate(clip);
     let rate = FrameRate::nearest(rate).ok_or(PosesToStreamError::Rate { rate })?.per_second();
     let sampling = sampling(clip, rate);
-    let clip = on_ticks(clip, rate);
+    let clip = on_ticks(clip, rate, if plan.live { 0.0 } else { max_gap });
     let placed = profile == Profile::Hand;
     let dense = CompareOptions { placed, reference: true, ..CompareOptions::default() };
     let keyed = CompareOptions { keyed: [false, true], ..dense.clone() };
@@ -183,7 +188,7 @@ pub fn round_trip(clip: &PoseClip, profile: Profile, plan: &PlanOptions) -> Resu
         &dense,
     )?;
 
-    let encoded = encode_poses(&clip, profile, plan)?;
+    let encoded = encode_bridged(&clip, profile, plan, max_gap)?;
     let options = DecoderOptions { steps: plan.steps, ranges: plan.ranges, ..DecoderOptions::default() };
     let mut options = PoseDecoderOptions::default().with_decoder(options).with_profile(Some(profile));
     // As long as the clip, whatever is allowed of streams of others.
@@ -316,7 +321,7 @@ fn half_step(steps: StepTable, quant: u8) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use handcast_hand::{HandPose, PoseHeader, TimedPose};
+    use handcast_hand::{HandPose, MAX_GAP, PoseHeader, TimedPose};
 
     /// Four seconds of a finger that beckons, on sizes that no stream says to the last digit.
     fn beckoning() -> PoseClip {
@@ -343,7 +348,7 @@ mod tests {
         let mut clip = beckoning();
         clip.frames[..20].iter_mut().for_each(|frame| frame.valid = false);
         clip.frames[50..].iter_mut().for_each(|frame| frame.valid = false);
-        let trip = round_trip(&clip, Profile::Hand, &PlanOptions::default()).unwrap();
+        let trip = round_trip(&clip, Profile::Hand, &PlanOptions::default(), MAX_GAP).unwrap();
         for seam in &trip.seams {
             assert_eq!(seam.hands[0].frames, 30, "{}", seam.name);
             assert!(seam.kept, "{seam:?}");
@@ -355,7 +360,7 @@ mod tests {
 
     #[test]
     fn over_all_of_the_way_fingertips_are_on_the_sizes_of_the_stream() {
-        let trip = round_trip(&beckoning(), Profile::Hand, &PlanOptions::default()).unwrap();
+        let trip = round_trip(&beckoning(), Profile::Hand, &PlanOptions::default(), MAX_GAP).unwrap();
         let tips = |name| seam(&trip, name).fingertips_mm.clone().unwrap().mean;
         assert!(tips("all of it") > tips("coding") + 0.05, "{} {}", tips("all of it"), tips("coding"));
         let lengths = |name| seam(&trip, name).lengths_mm.unwrap();
@@ -372,7 +377,7 @@ mod tests {
         for (i, frame) in clip.frames.iter_mut().enumerate() {
             frame.time += 0.4 / 30.0 * (2.3 * i as f64).sin();
         }
-        let trip = round_trip(&clip, Profile::Hand, &PlanOptions::default()).unwrap();
+        let trip = round_trip(&clip, Profile::Hand, &PlanOptions::default(), MAX_GAP).unwrap();
         assert_eq!(trip.seams[0].name, "sampling");
         let [coding, all] = ["coding", "all of it"].map(|name| seam(&trip, name).moving_rms_deg.unwrap());
         assert!((coding - all).abs() < 1e-3, "{coding} {all}");

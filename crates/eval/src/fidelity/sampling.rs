@@ -11,7 +11,7 @@ pub fn sampling(clip: &PoseClip, rate: f64) -> Vec<HandDifference> {
         return Vec::new();
     }
     let options = CompareOptions { keyed: [false, true], reference: true, ..CompareOptions::default() };
-    compare(clip, &on_ticks(clip, rate), &options).hands
+    compare(clip, &on_ticks(clip, rate, 0.0), &options).hands
 }
 
 #[cfg(test)]
@@ -20,7 +20,7 @@ mod tests {
     use crate::fidelity::{Seam, round_trip};
     use handcast_codec::mapping::Profile;
     use handcast_fba::plan::PlanOptions;
-    use handcast_hand::{HandPose, JointAngle, PoseHeader, Side, TimedPose};
+    use handcast_hand::{HandPose, JointAngle, MAX_GAP, PoseHeader, Side, TimedPose};
 
     fn shaking(time: impl Fn(usize) -> f64) -> PoseClip {
         let pose = |i: usize| {
@@ -48,7 +48,9 @@ mod tests {
     #[test]
     fn promises_are_kept_where_frames_were_dropped_and_a_hand_came_late() {
         let mut clip = shaking(|i| (i + i / 9) as f64 / 30.0);
-        let trip = |clip: &PoseClip| round_trip(clip, Profile::Hand, &PlanOptions::default()).unwrap().seams;
+        let trip = |clip: &PoseClip| {
+            round_trip(clip, Profile::Hand, &PlanOptions::default(), MAX_GAP).unwrap().seams
+        };
         let named = |seams: &[Seam]| seams.iter().map(|seam| (seam.name, seam.kept)).collect::<Vec<_>>();
         let seams = trip(&clip);
         assert!(named(&seams).iter().all(|(name, kept)| *name != "sampling" && *kept), "{seams:?}");

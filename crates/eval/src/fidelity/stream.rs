@@ -4,7 +4,7 @@ use serde::Serialize;
 
 use super::round_trip::FidelityError;
 use handcast_codec::mapping::{Profile, anchor_baps, bap_angle, global_baps, old_global_baps, wrist_baps};
-use handcast_codec::{EncodedClip, StreamToPosesError, TipError, encode_poses};
+use handcast_codec::{EncodedClip, StreamToPosesError, TipError, encode_bridged};
 use handcast_fba::DecoderOptions;
 use handcast_fba::bap::Bap;
 use handcast_fba::inspect::Inspector;
@@ -188,13 +188,19 @@ pub const QUANTS: [u8; 10] = [1, 2, 4, 6, 8, 10, 13, 17, 23, 31];
 /// Errors aimed at on the curve, degrees RMS.
 pub const AIMS: [f64; 6] = [0.2, 0.3, 0.45, 0.65, 1.0, 1.5];
 
-/// Codes a clip at every quantiser index of [`QUANTS`], and for every error of [`AIMS`] with and without look-ahead.
+/// Codes a clip at every quantiser index of [`QUANTS`], and for every error of [`AIMS`] with and without look-ahead;
+/// with it gaps of up to `max_gap` seconds are bridged.
 ///
 /// # Errors
 /// [`FidelityError::Encode`].
-pub fn rate_curve(clip: &PoseClip, profile: Profile, plan: &PlanOptions) -> Result<RateCurve, FidelityError> {
+pub fn rate_curve(
+    clip: &PoseClip,
+    profile: Profile,
+    plan: &PlanOptions,
+    max_gap: f64,
+) -> Result<RateCurve, FidelityError> {
     let point = |mode: Target, live: bool| -> Result<RatePoint, FidelityError> {
-        let report = encode_poses(clip, profile, &PlanOptions { mode, live, ..*plan })?.report;
+        let report = encode_bridged(clip, profile, &PlanOptions { mode, live, ..*plan }, max_gap)?.report;
         Ok(RatePoint {
             quant: if let Target::Quant(quant) = mode { Some(quant) } else { None },
             aim_deg: if let Target::Rms(aim) = mode { Some(aim) } else { None },

@@ -43,9 +43,10 @@ pub fn symmetry(
     clip: &PoseClip,
     profile: Profile,
     plan: &PlanOptions,
+    max_gap: f64,
     original: &RoundTrip,
 ) -> Result<Symmetry, FidelityError> {
-    let other = round_trip(&mirrored(clip), profile, plan)?;
+    let other = round_trip(&mirrored(clip), profile, plan, max_gap)?;
     let back = mirrored(&other.decoded.clip);
     let options = CompareOptions { placed: profile == Profile::Hand, ..CompareOptions::default() };
     let apart = compare(&original.decoded.clip, &back, &options);

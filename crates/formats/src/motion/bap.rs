@@ -64,7 +64,7 @@ fn read(bytes: &[u8], limits: &Limits) -> Result<Motion, ContentError> {
 /// The valid poses on even ticks, in profile `hand`.
 fn write(clip: &PoseClip, options: &WriteOptions, out: &mut dyn Write) -> Result<Vec<String>, WriteError> {
     let rate = options.rate_of(clip)?;
-    let frames = bap_frames(&on_ticks(clip, rate), Profile::Hand)?.into_iter().collect();
+    let frames = bap_frames(&on_ticks(clip, rate, 0.0), Profile::Hand)?.into_iter().collect();
     BapTrack { rate, frames }.write_text(&options.title, out)?;
     Ok(Vec::new())
 }

@@ -18,13 +18,14 @@ pub(crate) static FORMAT: Format = Format {
     ending: ".fba",
     hands: 2,
     sniff: |bytes| bytes.starts_with(&[0, 0, 1]) || matches!(stream_in(bytes), Ok(Some(_)) | Err(_)),
-    read: |bytes, limits| Ok(read(bytes, limits)?.into()),
+    read: |bytes, limits| Ok(read(bytes, DecoderOptions::default(), limits)?.into()),
     // With its own options: see `handcast_codec`.
     write: None,
 };
 
-fn read(bytes: &[u8], limits: &Limits) -> Result<Motion, ContentError> {
-    let decoded = decode_baps(&unwrapped(bytes)?, DecoderOptions::default(), limits)?;
+/// A stream that is decoded as `options` say.
+pub(super) fn read(bytes: &[u8], options: DecoderOptions, limits: &Limits) -> Result<Motion, ContentError> {
+    let decoded = decode_baps(&unwrapped(bytes)?, options, limits)?;
     let track = BapTrack { rate: decoded.rate, frames: decoded.frames };
     let mut motion = Motion::from_baps(&FORMAT, track, limits)?;
     let header = &mut motion.clip.header;
@@ -33,6 +34,8 @@ fn read(bytes: &[u8], limits: &Limits) -> Result<Motion, ContentError> {
     }
     header.skin_tone = skin_tone_of_record(&decoded.record);
     motion.clip.shift(starts_at(bytes));
-    motion.notes = notices::of_stream(decoded.passed_over, decoded.streams, decoded.trailing);
+    motion.notes = notices::of_damage(&decoded.damage, "values are");
+    motion.notes.extend(notices::of_stream(decoded.passed_over, decoded.streams, decoded.trailing));
+    motion.notes.extend(notices::of_sizes(&decoded.resized, "the last ones"));
     Ok(motion)
 }

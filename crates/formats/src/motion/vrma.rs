@@ -25,6 +25,8 @@ pub(super) fn names_extension(bytes: &[u8]) -> bool {
     super::format::says(&document[..length.min(document.len())], "\"VRMC_vrm_animation\"")
 }
 
+/// Ways of a wrist that are told of, metres.
+const MOVED: f64 = 0.005;
 /// Bends of a palm that are told of, radians.
 const TOLD: f64 = 0.5 * std::f64::consts::PI / 180.0;
 
@@ -43,14 +45,22 @@ fn write(
     let palms = Finger::LONG.into_iter().filter_map(Finger::palm_flexion);
     let bent = |angle: &JointAngle| clip.frames.iter().any(|f| f.valid && f.pose.angle(*angle).abs() > TOLD);
     let names: Vec<&str> = palms.filter(bent).map(JointAngle::name).collect();
-    Ok(match names.as_slice() {
-        [] => Vec::new(),
-        names => vec![format!(
+    let flat = (!names.is_empty()).then(|| {
+        format!(
             "avatars have no bones in the palm: fingers turn as they do, the palm itself stays flat ({}); read back \
              they are told",
             names.join(", ")
-        )],
-    })
+        )
+    });
+    let moves = clip.header.hands.iter().any(|hand| {
+        let mut places = clip.of(hand.side).filter(|f| f.valid).map(|f| f.pose.translation);
+        let first = places.next();
+        places.any(|place| first.is_some_and(|first| (place - first).norm() > MOVED))
+    });
+    let way = moves.then(|| {
+        "an avatar's arms say where its hands are: the way of the wrist is left out, also where this file is read back".to_owned()
+    });
+    Ok(flat.into_iter().chain(way).collect())
 }
 
 #[cfg(test)]

@@ -32,12 +32,36 @@ pub fn starts_at(file: &[u8]) -> f64 {
     starts(file, |track| matches!(fba_in(track), Ok(Some(_))))
 }
 
-/// The same of its first pictures.
-pub(super) fn pictures_start_at(file: &[u8]) -> f64 {
-    starts(file, |track| {
-        let handler = path(track, &[b"mdia", b"hdlr"]).ok().flatten();
-        handler.and_then(|handler| handler.get(8..12)) == Some(b"vide")
-    })
+/// Seconds from the beginning of an MP4 file to its first pictures, likewise.
+pub fn pictures_start_at(file: &[u8]) -> f64 {
+    starts(file, is_of_pictures)
+}
+
+/// Seconds from the beginning of an MP4 file to the end of its first pictures, as the track says (8.3.2); none where it does not,
+/// and of any other file.
+pub fn pictures_end_at(file: &[u8]) -> Option<f64> {
+    let moov = Boxes::new(file).find(b"moov").ok().flatten().filter(|_| super::is_mp4(file))?;
+    let mut tracks = Boxes::new(moov.content).flatten().filter(|found| &found.kind == b"trak");
+    let track = tracks.find(|track| is_of_pictures(track.content))?;
+    let head = path(track.content, &[b"tkhd"]).ok().flatten()?;
+    let ticks = match head.first() {
+        Some(1) => u64_at(head, 28).filter(|&ticks| ticks != u64::MAX)?,
+        _ => u32_at(head, 20).filter(|&ticks| ticks != u32::MAX)?.into(),
+    };
+    let scale = f64::from(movie_scale(moov.content)?);
+    (ticks > 0).then(|| ticks as f64 / scale)
+}
+
+/// Whether a track shows pictures.
+fn is_of_pictures(track: &[u8]) -> bool {
+    let handler = path(track, &[b"mdia", b"hdlr"]).ok().flatten();
+    handler.and_then(|handler| handler.get(8..12)) == Some(b"vide")
+}
+
+/// Ticks a second of the movie.
+fn movie_scale(moov: &[u8]) -> Option<u32> {
+    let movie = Boxes::new(moov).find(b"mvhd").ok().flatten()?.content;
+    u32_at(movie, if movie.first() == Some(&1) { 20 } else { 12 }).filter(|&scale| scale > 0)
 }
 
 /// Seconds before the first of the tracks that are `wanted` shows anything.
@@ -48,10 +72,8 @@ fn starts(file: &[u8], wanted: impl Fn(&[u8]) -> bool) -> f64 {
     let mut tracks = Boxes::new(moov.content).flatten().filter(|found| &found.kind == b"trak");
     let track = tracks.find(|track| wanted(track.content));
     let edits = track.and_then(|track| path(track.content, &[b"edts", b"elst"]).ok().flatten());
-    let movie = Boxes::new(moov.content).find(b"mvhd").ok().flatten();
     let long = |content: &[u8]| content.first() == Some(&1);
-    let scale = movie.and_then(|movie| u32_at(movie.content, if long(movie.content) { 20 } else { 12 }));
-    let (Some(edits), Some(scale @ 1..)) = (edits, scale) else { return 0.0 };
+    let (Some(edits), Some(scale)) = (edits, movie_scale(moov.content)) else { return 0.0 };
     let width = if long(edits) { 20 } else { 12 };
     let rows = edits.get(8..).unwrap_or_default().chunks_exact(width);
     let ticks = rows.map_while(|row| match long(edits) {

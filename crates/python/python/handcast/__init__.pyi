@@ -252,13 +252,15 @@ def encode(
     resync: bool = False,
     live: bool = False,
     sizes: bool = True,
+    max_gap: float = 0.25,
 ) -> bytes:
     """The clip as an FBA stream, the bytes of `handcast encode`.
 
     One aim at most: target_rms in degrees (0.4 by default), max_error of an angle in degrees (0.15 to 180), max_error_mm of
     a fingertip as a viewer sees it in millimetres (0.75 to 1000), bitrate in kbit/s, quant 0 to 31. intra: seconds between
     I planes; resync: each of them can be started at, as with live, which plans without look-ahead. sizes=False leaves out
-    the person's sizes and tone of skin. What load() read of a stream or BAP text is coded anew from its BAPs.
+    the person's sizes and tone of skin. Gaps of up to max_gap seconds between two valid poses are interpolated, longer ones
+    hold the last pose; so do all with live, or 0. What load() read of a stream or BAP text is coded anew from its BAPs.
 
     Warns of wrists out of reach, lost poses, times that are resampled, late starts and aims that were missed. Ctrl-C ends the wait.
     """

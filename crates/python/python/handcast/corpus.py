@@ -187,7 +187,7 @@ def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("input", metavar="IN", help="folder with clips and motion files, which all workers see")
     parser.add_argument("output", metavar="OUT", help="folder for the results, which all workers see")
     parser.add_argument("--scheduler", required=True, metavar="ADDRESS", help="such as tcp://host:8786")
-    parser.add_argument("--only", action="append", default=[], metavar="PATTERN", help='such as "*.mp4"; may be repeated')
+    parser.add_argument("--match", "--only", dest="only", action="append", default=[], metavar="PATTERN", help='such as "*.mp4"; may be repeated')
     parser.add_argument(
         "--checksum",
         action="store_true",
