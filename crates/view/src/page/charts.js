@@ -149,7 +149,7 @@ class Curves extends Chart {
     }
     const alpha = context.globalAlpha;
     for (const columns of runs) {
-      context.globalAlpha = alpha * 0.16;
+      context.globalAlpha = alpha * 0.1;
       context.beginPath();
       for (const { x, high } of columns) context.lineTo(x + 0.5, this.y(high));
       for (const { x, low } of columns.toReversed()) context.lineTo(x + 0.5, this.y(low));
