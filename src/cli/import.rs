@@ -7,16 +7,20 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, ensure};
 use clap::Args as ClapArgs;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
+use handcast_codec::PosesToStreamError;
 use handcast_formats::import::{ImportOptions, ImportReport, import_all};
 use handcast_formats::landmarks::{Axes, LandmarkClip};
-use handcast_formats::motion::{Content, Format, Motion, at_even_times, span};
+use handcast_formats::motion::{Content, Format, Motion, WriteError, at_even_times, span};
 use handcast_formats::person::{check_name, read_person, write_person};
+use handcast_gltf::GltfError;
 use handcast_hand::landmarks::{LandmarkError, SolverOptions};
 use handcast_hand::smooth::SmoothOptions;
 use handcast_hand::{Morphology, Person, PoseClip};
 use handcast_limits::Limit;
 
-use super::common::{HandOrAuto, field_of_view, hand_length, limits, open_input, read_filled, read_input};
+use super::common::{
+    HandOrAuto, check_seen, field_of_view, hand_length, limits, open_input, read_filled, read_input,
+};
 use super::given;
 use super::poses_out::OutArgs;
 use super::tracking::smoothing;
@@ -174,11 +178,28 @@ fn written(args: &Args, mut poses: PoseClip, format: &Format) -> anyhow::Result<
     }
     let person = poses.person();
     ensure!(args.save_person.is_none() || person.is_some(), "{name}: it tells no sizes for --save-person");
-    args.out.write(&args.output, poses, &Morphology::default(), format, serde_json::Map::new())?;
+    // Lines may be of lost hands alone.
+    let seen = check_seen(&name, &poses);
+    let written = args.out.write(&args.output, poses, &Morphology::default(), format, serde_json::Map::new());
+    written.map_err(|error| if is_empty(&error) { seen.err().unwrap_or(error) } else { error })?;
     match (&args.save_person, person) {
         (Some(path), Some(person)) => Ok(write_person(path, &person)?),
         _ => Ok(()),
     }
+}
+
+/// Whether an error is that no pose is there to write.
+fn is_empty(error: &anyhow::Error) -> bool {
+    error.chain().any(|cause| {
+        matches!(
+            cause.downcast_ref(),
+            Some(
+                WriteError::Empty
+                    | WriteError::Glb(GltfError::Empty { .. })
+                    | WriteError::Baps(PosesToStreamError::Empty { .. })
+            )
+        )
+    })
 }
 
 /// What a file has.
