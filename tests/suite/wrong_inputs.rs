@@ -265,14 +265,15 @@ fn what_to_do_instead_is_told() {
             "decode good.fba -o x.mp4",
             "; `handcast render` draws films, `handcast encode` writes streams in MP4",
         ),
-        ("live --bind :8749", "127.0.0.1:8749, or 8749 alone, for this machine; 0.0.0.0:8749 lets in"),
-        ("bench labels good.jsonl", "<--counts <FILE>|--letters <FILE>>"),
         (
             "bench live --chromium none --script none.js",
             "none.js: no such script; --script names tests/node/live.js",
         ),
     ];
     failed(2, misused.map(owned));
+    let out = run_in(Folder::new().0.path(), "bench labels good.jsonl");
+    assert_eq!(out.status.code(), Some(2));
+    assert!(text(&out.stderr).contains("<--counts <FILE>|--letters <FILE>>"), "{}", text(&out.stderr));
 }
 
 #[test]
