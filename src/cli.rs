@@ -49,10 +49,14 @@ mod unnamed;
 mod view;
 
 use std::ffi::OsString;
+use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::{ArgMatches, CommandFactory as _, FromArgMatches as _, Parser, Subcommand};
+use handcast_codec::StreamToPosesError;
 use handcast_eval::fidelity::FidelityError;
+use handcast_fba::{ErrorKind, SyntaxError};
+use handcast_formats::motion::{ContentError, MotionError};
 use handcast_track::pipeline::ClipError;
 
 /// MPEG-4 hand animation: a gesture made here moves a hand there.
@@ -153,7 +157,8 @@ pub fn main() -> ExitCode {
         Ok(code) => code,
         Err(error) => {
             let words = shortened(message(&error));
-            errln!("handcast: {words}{}{}", hint(&error), told_hint(&words));
+            let hints = [hint(&error).to_owned(), told_hint(&words), input_hint(&error, &words, &matches)];
+            errln!("handcast: {words}{}", hints.concat());
             poses_out::tell_of_journal();
             ExitCode::from(if usage::is_usage(&error) { 2 } else { 1 })
         }
@@ -211,11 +216,53 @@ fn hint(error: &anyhow::Error) -> &'static str {
     }
 }
 
+/// The same against what an input is: a clip where a motion is read, a stream that was cut or damaged.
+fn input_hint(error: &anyhow::Error, message: &str, matches: &ArgMatches) -> String {
+    let Some((name, of_sub)) = matches.subcommand() else { return String::new() };
+    let damaged = |cause: &(dyn std::error::Error + 'static)| -> bool {
+        let decoded = match cause.downcast_ref() {
+            Some(MotionError::Content { reason: ContentError::Stream(error), .. }) => Some(error),
+            _ => cause.downcast_ref(),
+        };
+        let syntax = match decoded {
+            Some(StreamToPosesError::Syntax(error)) => Some(error),
+            _ => cause.downcast_ref(),
+        };
+        syntax.is_some_and(|error: &SyntaxError| {
+            let broken = [ErrorKind::Incomplete, ErrorKind::Damaged].contains(&error.kind());
+            broken && !matches!(error, SyntaxError::NoObject { .. })
+        })
+    };
+    // What inspect tells goes on behind damage as it is.
+    if name != "inspect" && error.chain().any(damaged) {
+        return match of_sub.try_contains_id("conceal") {
+            Ok(_) => "; --conceal goes on behind damage".to_owned(),
+            Err(_) => "; `handcast decode --conceal` makes poses of what is whole".to_owned(),
+        };
+    }
+    let of_motions = ["import", "encode", "decode", "inspect", "compare", "view", "render", "send"];
+    if !of_motions.contains(&name) || usage::is_usage(error) || message.contains("`handcast track`") {
+        return String::new();
+    }
+    let clip = ["input", "a", "b"].into_iter().any(|id| {
+        let path = of_sub.try_get_one::<PathBuf>(id).ok().flatten();
+        path.is_some_and(|path| message.contains(&path.display().to_string()) && files::is_clip(path))
+    });
+    if clip {
+        "; of clips and folders of pictures `handcast track` makes poses".to_owned()
+    } else {
+        String::new()
+    }
+}
+
 /// The same against what the message tells: a limit that may be raised, joints whose names tell nothing.
 fn told_hint(message: &str) -> String {
     use handcast_limits::Limit;
     if message.contains("; a joint map says which is which") {
         return "; `import`, `encode` and --mesh take one with --map FILE.toml".to_owned();
+    }
+    if message.contains("encode: frame rate ") {
+        return "; `handcast import POSES -o fewer.jsonl --fps 60` makes fewer frames of it".to_owned();
     }
     let told = |limit: &Limit| message.contains(&format!(" {}, allowed at most ", limit.unit()));
     let flag = match Limit::ALL.into_iter().find(told) {

@@ -381,6 +381,14 @@ impl LimitArgs {
     }
 }
 
+/// Makes sure that a hand is seen in the motion of this name.
+pub fn check_seen(name: impl std::fmt::Display, clip: &PoseClip) -> anyhow::Result<()> {
+    let count = clip.frames.len();
+    let lost = if count > 0 { format!(": all {count} are of a lost hand") } else { String::new() };
+    ensure!(clip.frames.iter().any(|frame| frame.valid), "{name}: there is no pose of a hand in it{lost}");
+    Ok(())
+}
+
 /// Makes sure that `rate` makes no more instants of a clip than allowed.
 pub fn check_span(clip: &PoseClip, rate: f64) -> anyhow::Result<()> {
     Ok(handcast_formats::motion::check_span(clip, rate, limits())?)
@@ -495,14 +503,27 @@ const OTHER_KINDS: [(&str, &str); 15] = [
     ("toml", "person"),
 ];
 
-/// What a file is by its name's ending, where that is none of `own` and tells something.
-pub fn told_kind(path: &Path, own: &[&str]) -> Option<&'static str> {
+/// What a file would be by its name's ending, where that is none of `own`; a name without one, a pipe and a device may be anything.
+pub fn told_kind(path: &Path, own: &[&str]) -> Option<String> {
     let ending = ending(path);
-    if own.contains(&ending.as_str()) {
+    let passed_on = std::fs::metadata(path).is_ok_and(|found| !found.is_file() && !found.is_dir());
+    if ending.is_empty() || own.contains(&ending.as_str()) || passed_on {
         return None;
     }
     let other = || OTHER_KINDS.into_iter().find(|(known, _)| *known == ending).map(|(_, kind)| kind);
-    Format::by_name(path).map(|format| format.name).or_else(other)
+    let known = Format::by_name(path).map(|format| format.name).or_else(other);
+    Some(known.map_or_else(|| format!(".{ending}"), str::to_owned))
+}
+
+/// An output's name in words.
+pub fn told_name(path: &Path) -> String {
+    if path.as_os_str() == "-" { "standard output".into() } else { path.display().to_string() }
+}
+
+/// So many of what has this name: `1 frame`, `2 frames`.
+pub fn counted<N: std::fmt::Display + PartialEq + From<u8>>(count: N, what: &str) -> String {
+    let s = if count == N::from(1) { "" } else { "s" };
+    format!("{count} {what}{s}")
 }
 
 /// The ending of a file name, in lower case.

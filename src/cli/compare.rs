@@ -3,14 +3,13 @@
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use anyhow::ensure;
 use handcast_eval::fidelity::{
     BapComparison, CompareOptions, Comparison, DEFAULT_TOLERANCE, Extent, HandDifference, Spread, compare,
     compare_baps,
 };
 use handcast_formats::motion::Motion;
 
-use super::common::{DecodingArgs, limits, read_input};
+use super::common::{DecodingArgs, check_seen, limits, read_input};
 use super::given;
 use super::usage::within;
 
@@ -99,11 +98,10 @@ pub fn run(args: &Args) -> anyhow::Result<ExitCode> {
     let poses = (has_hands(&a) && has_hands(&b)).then(|| compare(&a.clip, &b.clip, &options));
     let baps = a.baps.as_ref().zip(b.baps.as_ref()).map(|(a, b)| compare_baps(a, b));
     let name = |path: &PathBuf| path.display().to_string();
-    ensure!(
-        poses.is_some() || baps.is_some(),
-        "{}: it moves no hand, so there is nothing to compare",
-        name(if has_hands(&a) { &args.b } else { &args.a })
-    );
+    if poses.is_none() && baps.is_none() {
+        let (path, motion) = if has_hands(&a) { (&args.b, &b) } else { (&args.a, &a) };
+        check_seen(path.display(), &motion.clip)?;
+    }
     let same = match (&poses, &baps) {
         (Some(found), _) => found.within_tolerance() && (args.partial || found.is_complete()),
         (None, Some(found)) => {

@@ -17,7 +17,9 @@ use handcast_formats::person::read_person;
 use handcast_hand::{JointAngle, Morphology, PoseHeader, Side, TimedPose, limits};
 use handcast_limits::Limit;
 
-use super::common::{self, StreamArgs, check_is_stream, open_input, read_piece, read_stream};
+use super::common::{
+    self, StreamArgs, check_is_stream, counted, open_input, read_piece, read_stream, told_name,
+};
 use super::given;
 use super::poses_out::{Lines, OutArgs, write_whole};
 
@@ -85,8 +87,8 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let sides = args.out.write(&args.output, decoded.clip, &morphology, format, facts)?;
     if !args.quiet {
         let hands: Vec<_> = sides.iter().map(|side| side.name()).collect();
-        let (hands, planes) = (hands.join(" and "), decoded.totals.planes);
-        errln!("{}: {hands} hand, {planes} planes, {seconds:.2} s", args.output.display());
+        let (hands, planes) = (hands.join(" and "), counted(decoded.totals.planes, "plane"));
+        errln!("{}: {hands} hand, {planes}, {seconds:.2} s", told_name(&args.output));
     }
     Ok(())
 }
@@ -203,7 +205,8 @@ fn write_baps(args: &Args, bytes: &[u8], options: DecoderOptions) -> anyhow::Res
     let stem = args.input.file_stem().and_then(|s| s.to_str()).unwrap_or("stream");
     write_whole(&args.output, |out| Ok(text::write_frames(stem, rate, frames, out)?))?;
     if !args.quiet {
-        errln!("{}: {rows} frames at {rate} frames/s", args.output.display());
+        let rows = counted(rows, "frame");
+        errln!("{}: {rows} at {rate} frames/s", told_name(&args.output));
     }
     Ok(())
 }

@@ -18,8 +18,8 @@ use handcast_formats::poses::PoseReader;
 use handcast_hand::{PoseClip, Side};
 
 use super::common::{
-    RateArgs, busy, check_span, ending, limits, open_input, read_input, read_piece, told_kind,
-    warn_of_uneven_times, write_output,
+    RateArgs, busy, check_seen, check_span, counted, ending, limits, open_input, read_input, read_piece,
+    told_kind, told_name, warn_of_uneven_times, write_output,
 };
 use super::given;
 use super::glb_out::read_map;
@@ -168,12 +168,15 @@ fn begun(path: &Path) -> anyhow::Result<(Vec<u8>, Box<dyn BufRead>)> {
 /// The profile and level of a stream in an MP4 file where none is asked for: Simple FBA, level 1.
 const SIMPLE_FBA: u8 = 0x63;
 
-/// Seconds at which the poses of a clip begin, which a stream does not tell: that is said.
+/// Seconds at which the poses of a clip begin, which a stream does not tell, and an .mp4 beside a clip not where they begin before
+/// it: that is said.
 fn start_of(clip: &PoseClip, args: &Args) -> f64 {
-    if let (None, Some(notice)) = (&args.clip, notices::of_start(clip)) {
+    let first = clip.frames.iter().map(|frame| frame.time).fold(f64::INFINITY, f64::min);
+    if (args.clip.is_none() || first < 0.0)
+        && let Some(notice) = notices::of_start(clip)
+    {
         errln!("handcast: {notice}");
     }
-    let first = clip.frames.iter().map(|frame| frame.time).fold(f64::INFINITY, f64::min);
     if first.is_finite() { first.max(0.0) } else { 0.0 }
 }
 
@@ -272,7 +275,7 @@ fn pass_on(
     }
     match current {
         Some((encoder, _)) => end(encoder),
-        None => Err(PosesToStreamError::Empty { frames: 0 }).with_context(|| format!("{name}")),
+        None => check_seen(name, &PoseClip::default()),
     }
 }
 
@@ -293,10 +296,10 @@ fn say(args: &Args, coded: &EncodedEnd) -> anyhow::Result<()> {
         if args.output.as_os_str() == "-" { errln!("{account}") } else { outln!("{account}") }
     } else if !args.quiet {
         errln!(
-            "{}: {} frames in {} planes, {} bytes, {:.2} kbit/s, {:.2}° RMS, {:.2}° at most{}{}",
-            args.output.display(),
-            report.frames,
-            report.planes,
+            "{}: {} in {}, {} bytes, {:.2} kbit/s, {:.2}° RMS, {:.2}° at most{}{}",
+            told_name(&args.output),
+            counted(report.frames, "frame"),
+            counted(report.planes, "plane"),
             report.bytes,
             report.kbit_per_s(),
             report.rms_degrees,
@@ -327,13 +330,15 @@ fn encode_by_epf(args: &Args, epf: &Path, bytes: &[u8], plan: &PlanOptions) -> a
     }
     deliver(args, &stream, [0.0; 2])?;
     if !args.quiet {
-        errln!("{}: {} planes, {} bytes", args.output.display(), frames.len(), stream.len());
+        let planes = counted(frames.len(), "plane");
+        errln!("{}: {planes}, {} bytes", told_name(&args.output), stream.len());
     }
     Ok(())
 }
 
 /// The stream of poses, which are let go before it is planned.
 fn encoded(mut clip: PoseClip, args: &Args, plan: &PlanOptions) -> anyhow::Result<EncodedEnd> {
+    check_seen(args.input.display(), &clip)?;
     let profile = args.rate.profile.into();
     notices::of_poses(&clip, profile, args.rate.max_gap())
         .iter()

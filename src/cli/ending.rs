@@ -3,7 +3,7 @@
 use std::any::Any;
 use std::panic::{AssertUnwindSafe, PanicHookInfo, catch_unwind, set_hook};
 use std::process::exit;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicI32, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::ThreadId;
 use std::time::{Duration, Instant};
@@ -15,6 +15,14 @@ use super::poses_out::tell_of_journal;
 
 /// Exit code of a program that was told to end, as shells have it for Ctrl-C.
 const INTERRUPTED: i32 = 130;
+
+/// The code with which a signal ends the program.
+static AT_SIGNAL: AtomicI32 = AtomicI32::new(INTERRUPTED);
+
+/// From here on all is done, and a signal is how it ends: well.
+pub fn ends_well() {
+    AT_SIGNAL.store(0, Ordering::Relaxed);
+}
 
 /// Ends the program with this code, and takes away what is unfinished.
 pub fn end(code: i32) -> ! {
@@ -51,7 +59,7 @@ pub fn on_signals() -> anyhow::Result<()> {
             return;
         }
         tell_of_journal();
-        end(INTERRUPTED)
+        end(AT_SIGNAL.load(Ordering::Relaxed))
     })
     .context("signals")
 }

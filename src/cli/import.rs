@@ -7,18 +7,20 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, ensure};
 use clap::Args as ClapArgs;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
-use handcast_codec::clip_rate;
+use handcast_codec::{PosesToStreamError, clip_rate};
 use handcast_formats::import::{ImportOptions, ImportReport, import_all};
 use handcast_formats::landmarks::{Axes, LandmarkClip};
-use handcast_formats::motion::{Content, Format, Motion, at_even_times, span};
+use handcast_formats::motion::{Content, Format, Motion, WriteError, at_even_times, span};
 use handcast_formats::person::{check_name, read_person, write_person};
+use handcast_gltf::GltfError;
 use handcast_hand::landmarks::{LandmarkError, SolverOptions};
 use handcast_hand::smooth::SmoothOptions;
 use handcast_hand::{Absence, MAX_GAP, Morphology, Person, PoseClip};
 use handcast_limits::Limit;
 
 use super::common::{
-    HandOrAuto, check_span, field_of_view, gap, hand_length, limits, open_input, read_filled, read_input,
+    HandOrAuto, check_seen, check_span, field_of_view, gap, hand_length, limits, open_input, read_filled,
+    read_input,
 };
 use super::given;
 use super::poses_out::OutArgs;
@@ -187,11 +189,28 @@ fn written(args: &Args, mut poses: PoseClip, format: &Format) -> anyhow::Result<
             errln!("{name}: {bridged} poses interpolated in gaps");
         }
     }
-    args.out.write(&args.output, poses, &Morphology::default(), format, serde_json::Map::new())?;
+    // Lines may be of lost hands alone.
+    let seen = check_seen(&name, &poses);
+    let written = args.out.write(&args.output, poses, &Morphology::default(), format, serde_json::Map::new());
+    written.map_err(|error| if is_empty(&error) { seen.err().unwrap_or(error) } else { error })?;
     match (&args.save_person, person) {
         (Some(path), Some(person)) => Ok(write_person(path, &person)?),
         _ => Ok(()),
     }
+}
+
+/// Whether an error is that no pose is there to write.
+fn is_empty(error: &anyhow::Error) -> bool {
+    error.chain().any(|cause| {
+        matches!(
+            cause.downcast_ref(),
+            Some(
+                WriteError::Empty
+                    | WriteError::Glb(GltfError::Empty { .. })
+                    | WriteError::Baps(PosesToStreamError::Empty { .. })
+            )
+        )
+    })
 }
 
 /// What a file has.

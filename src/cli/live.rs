@@ -8,13 +8,13 @@ mod record;
 mod status;
 mod work;
 
-use std::net::SocketAddr;
+use std::net::{Ipv4Addr, SocketAddr};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
-use anyhow::Context as _;
+use anyhow::{Context as _, bail};
 use handcast_fba::plan::{PlanOptions, Target};
 use handcast_hand::smooth::SmoothOptions;
 use handcast_live::page;
@@ -48,7 +48,7 @@ pub struct Args {
     #[arg(long, value_name = "NAME", default_value = "hand", value_parser = room)]
     room: String,
     /// Where to listen; 0.0.0.0:8747 lets in who is on the same network
-    #[arg(long, value_name = "ADDR:PORT", default_value = "127.0.0.1:8747")]
+    #[arg(long, value_name = "ADDR:PORT", default_value = "127.0.0.1:8747", value_parser = listening)]
     bind: SocketAddr,
     /// What who joins must know; none asks for nothing [default: none on this machine, else a random one]
     #[arg(long, value_name = "TOKEN")]
@@ -109,6 +109,19 @@ fn host(text: &str) -> Result<String, String> {
     } else {
         Err("allowed is the name of a machine, or its address, without a port: hands.example.org".into())
     }
+}
+
+/// Where to listen: a port, or an address and a port.
+fn listening(text: &str) -> Result<SocketAddr, String> {
+    let here = |port: &str| port.parse().ok().map(|port: u16| SocketAddr::from((Ipv4Addr::LOCALHOST, port)));
+    let told = text.parse().ok().or_else(|| here(text.strip_prefix("localhost:").unwrap_or(text)));
+    told.ok_or_else(|| {
+        let port = text.rsplit(':').next().filter(|port| port.parse::<u16>().is_ok()).unwrap_or("8747");
+        format!(
+            "allowed are an address and a port: 127.0.0.1:{port}, or {port} alone, for this machine; 0.0.0.0:{port} lets in who is on \
+             the same network"
+        )
+    })
 }
 
 fn room(text: &str) -> Result<String, String> {
@@ -217,7 +230,11 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     track.smooth = args.track.smooth_or(Some(SmoothOptions::live()));
     // Nor is what was before a hand came of interest.
     track.learn_again = false;
-    let server = Server::start(options).with_context(|| format!("cannot serve at {}", args.bind))?;
+    let server = Server::start(options).map_err(|error| {
+        let taken = error.kind() == std::io::ErrorKind::AddrInUse;
+        let way = if taken { " (--bind ADDR:PORT names another; port 0 is any that is free)" } else { "" };
+        anyhow::Error::from(error).context(format!("cannot serve at {}{way}", args.bind))
+    })?;
     let stop = told_to_stop();
     // From here on it ends well, whenever it is told to.
     let recording = place.map(Recording::create).transpose()?;
@@ -241,6 +258,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         }
         status.tell(&mut worker, &slot, &server);
     }
+    let moving = if slot.is_ended() { more_than_one(&slot, args) } else { Ok(()) };
     stop.store(true, Ordering::Relaxed);
     // Whatever went wrong, all is ended.
     let Finished { recorded, published } = worker.finish(&mut publisher);
@@ -254,7 +272,18 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let stopped = server.stop().context("the room's server ended");
     // That nothing can be published follows from how the server ended.
     let room = stopped.and(worked).and(published);
-    first_of([room, recorded, told, capture.end()])
+    first_of([room, capture.end(), moving, recorded, told])
+}
+
+/// That what has ended was more than a picture, in which nothing moves.
+fn more_than_one(slot: &Slot, args: &Args) -> anyhow::Result<()> {
+    let [came, _] = slot.counted();
+    if came > 1 {
+        return Ok(());
+    }
+    let name = args.source.as_deref().unwrap_or(Path::new("the camera")).display();
+    let what = if came == 1 { "a single picture, in which nothing moves" } else { "there was no picture" };
+    bail!("{name}: {what}; live takes a camera, or a clip")
 }
 
 /// The first of several errors; those behind it are said on standard error.
@@ -273,6 +302,18 @@ fn rate_of(info: &ClipInfo) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_port_alone_is_of_this_machine() {
+        for text in ["8749", "localhost:8749", "127.0.0.1:8749"] {
+            assert_eq!(listening(text).unwrap().to_string(), "127.0.0.1:8749", "{text}");
+        }
+        assert_eq!(listening("[::]:8747").unwrap().to_string(), "[::]:8747");
+        for text in [":8749", "here:8749"] {
+            assert!(listening(text).unwrap_err().contains("0.0.0.0:8749 lets in"), "{text}");
+        }
+        assert!(listening("65536").unwrap_err().contains("127.0.0.1:8747, or 8747 alone"));
+    }
 
     #[test]
     fn the_first_error_is_what_it_ends_with() {

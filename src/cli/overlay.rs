@@ -30,6 +30,7 @@ pub struct Overlay {
     rate: f64,
     /// Begun with the first picture, which tells the size.
     writer: Option<Writer>,
+    size: (u32, u32),
     drawing: Duration,
 }
 
@@ -38,12 +39,25 @@ pub struct Finished {
     pub file: AtomicFile,
     /// Time spent drawing and writing it.
     pub time: Duration,
+    /// Width and height, pixels.
+    size: (u32, u32),
+}
+
+impl Finished {
+    /// How large it is, where that is not the clip's size.
+    pub fn in_words(&self, clip: (u32, u32)) -> String {
+        let [(width, height), (of_clip, high)] = [self.size, clip];
+        if self.size == clip {
+            return String::new();
+        }
+        format!(", {width}x{height}, as the pictures of {of_clip}x{high} were looked at")
+    }
 }
 
 impl Overlay {
     /// An overlay to be put at `path`, of about `rate` frames per second: films show each frame as long as the clip does.
     pub fn new(path: PathBuf, rate: f64) -> Self {
-        Self { path, rate, writer: None, drawing: Duration::ZERO }
+        Self { path, rate, writer: None, size: (0, 0), drawing: Duration::ZERO }
     }
 
     /// Draws a frame and hands it to the writer. Fails with what went wrong in writing the frames before.
@@ -54,6 +68,7 @@ impl Overlay {
         let writer = match &mut self.writer {
             Some(writer) => writer,
             empty => {
+                self.size = picture.dimensions();
                 let video = Video::begin(&self.path, self.rate, picture.dimensions())?;
                 empty.insert(Writer::start(video, self.rate)?)
             }
@@ -65,7 +80,7 @@ impl Overlay {
     pub fn finish(self) -> anyhow::Result<Option<Finished>> {
         let Some(mut writer) = self.writer else { return Ok(None) };
         let (video, writing) = writer.join()?;
-        Ok(Some(Finished { file: video.finish()?, time: self.drawing + writing }))
+        Ok(Some(Finished { file: video.finish()?, time: self.drawing + writing, size: self.size }))
     }
 }
 

@@ -88,7 +88,14 @@ impl Output {
 fn refusal(path: &Path, more: &[&str]) -> String {
     let endings = Format::written().map(|format| format.ending);
     let names: Vec<_> = endings.chain(more.iter().copied()).collect();
-    format!("{}: cannot write this kind, allowed are {}", path.display(), names.join(", "))
+    let other = match ending(path).as_str() {
+        "fba" => "; `handcast encode` writes streams",
+        "mp4" => "; `handcast render` draws films, `handcast encode` writes streams in MP4 files",
+        "gif" | "webp" | "png" => "; `handcast render` draws pictures and animations",
+        "html" | "htm" => "; `handcast view` writes pages",
+        _ => "",
+    };
+    format!("{}: cannot write this kind, allowed are {}{other}", path.display(), names.join(", "))
 }
 
 /// What is written, and how.
@@ -302,7 +309,7 @@ impl Lines {
         let written = poses.try_for_each(|pose| writer.write(&pose)).and_then(|()| writer.flush());
         written.with_context(|| match journal {
             Some(path) => format!("cannot write {}", path.display()),
-            None => "cannot write".into(),
+            None => "cannot write to standard output".into(),
         })
     }
 }

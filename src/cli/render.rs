@@ -18,7 +18,7 @@ use image::codecs::webp::WebPEncoder;
 use image::{Delay, Frame, RgbaImage};
 use indicatif::{ProgressBar, ProgressStyle};
 
-use super::common::{Hand, busy, ending, progress};
+use super::common::{Hand, busy, check_seen, ending, progress};
 use super::motion::{Motion, MotionArgs};
 use super::poses_out::centre;
 
@@ -192,19 +192,38 @@ fn lead(moments: &mut Vec<Moment>) {
     }
 }
 
-/// How long each picture is shown, in units of `unit` seconds and at least `least` of them; rounding does
-/// not add up.
-fn durations(moments: &[Moment], unit: f64, least: u32) -> Vec<u32> {
+/// Longest that a picture is shown, seconds: a recording that was left running fills no day. Those of a .gif last as long as its
+/// 16 bits tell.
+fn longest(ending: &str) -> f64 {
+    if ending == "gif" { 655.35 } else { 3600.0 }
+}
+
+/// Longest that the last picture is shown, for as long as one in the middle, seconds.
+const LAST: f64 = 10.0;
+
+/// That pictures would be shown longer than they can be.
+fn cut_short(moments: &[Moment], ending: &str) -> Option<String> {
+    let longest = longest(ending);
+    let cut = moments.windows(2).filter(|w| w[1].time - w[0].time > longest).count();
+    let (are, s) = if cut == 1 { ("is", "") } else { ("are", "s") };
+    (cut > 0).then(|| {
+        format!("{cut} picture{s} {are} shown for {longest} s, as long as one in a .{ending} is, in place of longer")
+    })
+}
+
+/// How long each picture is shown, in units of `unit` seconds and at least `least` of them, at most `longest` seconds; rounding
+/// does not add up.
+fn durations(moments: &[Moment], unit: f64, least: u32, longest: f64) -> Vec<u32> {
     let steps: Vec<f64> = moments.windows(2).map(|w| w[1].time - w[0].time).collect();
     let mut sorted = steps.clone();
     sorted.sort_by(f64::total_cmp);
-    let last = sorted.get(sorted.len() / 2).copied().unwrap_or(1.0 / TURN.1);
+    let last = sorted.get(sorted.len() / 2).map_or(1.0 / TURN.1, |step| step.min(LAST));
     let (mut time, mut told) = (0.0, 0.0);
     steps
         .into_iter()
         .chain([last])
         .map(|step| {
-            time += step.min(10.0) / unit;
+            time += step.min(longest) / unit;
             let units = ((time - told).round() as u32).max(least);
             told += f64::from(units);
             units
@@ -220,7 +239,7 @@ fn whole(shown: &[u32], unit: f64) -> f64 {
 /// Writes all pictures as a film; gives its seconds.
 #[cfg(feature = "h264")]
 fn write_film(drawing: &Drawing<'_>, file: &mut AtomicFile) -> anyhow::Result<f64> {
-    let shown = durations(drawing.film.moments(), 1.0 / f64::from(TICKS), 1);
+    let shown = durations(drawing.film.moments(), 1.0 / f64::from(TICKS), 1, longest("mp4"));
     let seconds = whole(&shown, 1.0 / f64::from(TICKS));
     let rate = (shown.len() as f64 / seconds).clamp(0.1, 1000.0);
     let mut video = FilmWriter::new(file, drawing.size, rate, USUAL_RATE)?;
@@ -275,7 +294,7 @@ impl Drawing<'_> {
             }
             "webp" => {
                 let mut animation = WebpAnimation::new(self.size)?;
-                let shown = durations(moments, 1e-3, 1);
+                let shown = durations(moments, 1e-3, 1, longest(ending));
                 self.in_order(|i, picture| animation.push(&picture, shown[i]))?;
                 animation.write(file)?;
                 Ok(Some(whole(&shown, 1e-3)))
@@ -284,7 +303,7 @@ impl Drawing<'_> {
                 let mut encoder = GifEncoder::new_with_speed(file, 10);
                 encoder.set_repeat(Repeat::Infinite)?;
                 // Hundredths of a second; browsers take less than 2 for 10.
-                let shown = durations(moments, 1e-2, GIF_LEAST);
+                let shown = durations(moments, 1e-2, GIF_LEAST, longest(ending));
                 self.in_order(|i, picture| {
                     let delay = Delay::from_numer_denom_ms(10 * shown[i], 1);
                     encoder.encode_frame(Frame::from_parts(picture, 0, 0, delay))
@@ -345,6 +364,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         errln!("handcast: {}: {note}", args.motion.input.display());
     }
     let hand = args.hand.map_or(String::new(), |h| format!(" of a {} hand", Side::from(h).name()));
+    check_seen(args.motion.input.display(), &motion.clip)?;
     ensure!(!all.is_empty(), "{}: no pose{hand} in it", args.motion.input.display());
     if extension == "mp4" && (width % 2 == 1 || height % 2 == 1) {
         let [w, h] = [width & !1, height & !1];
@@ -368,6 +388,11 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     }
     let surfaces: Vec<HandMesh> = meshes.iter().map(|(mesh, _)| mesh.clone()).collect();
     let film = Film::new(&surfaces, moments, (width, height), args.turntable);
+    if extension != "png"
+        && let Some(note) = cut_short(film.moments(), &extension)
+    {
+        errln!("handcast: {}: {note}", args.output.display());
+    }
     let mut file = AtomicFile::create(&args.output).context("cannot write")?;
     let count = film.moments().len();
     let bar = drawn(!args.quiet, &extension, count);

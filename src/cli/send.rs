@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Context as _, ensure};
 use handcast_hand::{PoseClip, Side, TimedPose};
 
-use super::common::Hand;
+use super::common::{Hand, check_seen};
 use super::ending::told_to_stop;
 use super::motion::MotionArgs;
 use super::receivers::Receivers;
@@ -60,11 +60,10 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         let sizes = motion.clip.header.hand(side).and_then(|hand| hand.morphology.as_ref());
         receivers.set_sizes(side, sizes.unwrap_or(&motion.morphology));
     }
-    let valid = motion.clip.frames.iter().any(|pose| pose.valid);
+    check_seen(name(), &motion.clip)?;
     let moments = moments(motion.clip, args.only.map(Side::from));
     let sent = moments.iter().flatten().any(|pose| pose.valid);
-    let other = if valid { " of this hand; it has the other one alone" } else { "" };
-    ensure!(sent, "{}: there is no pose to send{other}", name());
+    ensure!(sent, "{}: there is no pose to send of this hand; it has the other one alone", name());
     if !args.quiet {
         let addresses: Vec<_> = receivers.sent().map(|(address, _)| address.to_string()).collect();
         errln!("sending to {}, Ctrl-C ends it", addresses.join(", "));

@@ -19,7 +19,8 @@ pub struct Args {
     /// .landmarks.jsonl, .pose, .bap or .glb
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
-    /// What was tracked drawn over the clip (.mp4, .avi): green is sure, orange doubtful, red lost, pink touching
+    /// What was tracked drawn over the clip (.mp4, .avi), its pictures as they are looked at, 640 pixels a side at most: green is
+    /// sure, orange doubtful, red lost, pink touching
     #[arg(long, value_name = "FILE")]
     overlay: Option<PathBuf>,
     /// Go on from FILE.partial.jsonl, which a run that was ended left beside FILE: with the same clip and options, only
@@ -100,6 +101,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         }
     }
     journal.into_iter().for_each(Journal::done);
+    let drawn = tracked.overlay.as_ref().map(|overlay| overlay.in_words(tracked.clip_size));
     if let Some(overlay) = tracked.overlay {
         overlay.file.commit()?;
     }
@@ -112,6 +114,9 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     } else if words {
         out!("{}{}", summary.text(args.track.smooths()), summary.speed(""));
         outln!("  results     {}", args.output.display());
+        if let (Some(drawn), Some(path)) = (drawn, &args.overlay) {
+            outln!("  overlay     {}{drawn}", path.display());
+        }
     }
     Ok(())
 }

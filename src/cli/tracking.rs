@@ -248,6 +248,8 @@ pub struct Tracked {
     tallies: Vec<HandTally>,
     /// The overlay, complete but not yet under its name.
     pub overlay: Option<Finished>,
+    /// Width and height of the clip's pictures, pixels.
+    pub clip_size: (u32, u32),
     begun: Instant,
 }
 
@@ -289,6 +291,7 @@ impl TrackArgs {
             source = resumed.rest(source);
             resumed.keep(journal)?;
         }
+        let clip_size = (source.info().width, source.info().height);
         let by_colours = options.finder.is_none() && masks.is_none();
         let of_masks = masks.as_ref().and_then(|masks| masks.info().frames);
         let mut sink = Sink::new(self, path, overlay, poses, rate, source.as_ref());
@@ -336,7 +339,7 @@ impl TrackArgs {
                 );
             }
         }
-        Ok(Tracked { end, frames, tallies, overlay, begun })
+        Ok(Tracked { end, frames, tallies, overlay, clip_size, begun })
     }
 
     /// The one hand that the clip is said to show.

@@ -2,12 +2,16 @@
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
+use std::sync::mpsc::{Receiver, channel};
+use std::thread::Builder;
+use std::time::Duration;
 
 use anyhow::Context;
 use handcast_media::OpenOptions;
 use handcast_view::{Film, Pictures, Show, Video, bind, page, picture_side, serve, times};
 
 use super::common::{tell_shortfall, told_kind, write_output};
+use super::ending::ends_well;
 use super::motion::MotionArgs;
 use super::usage::positive;
 
@@ -75,18 +79,22 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     if let Some(output) = &args.output {
         write_output(output, &html)?;
         if args.open && output.as_os_str() != "-" {
-            open(&output.display().to_string());
+            // A browser that stays in the foreground is not waited for.
+            let _ = open(&output.display().to_string()).recv_timeout(OPENING);
         }
         return Ok(());
     }
     let port = args.port.unwrap_or(0);
-    let listener = bind(port).with_context(|| format!("cannot serve on port {port} of 127.0.0.1"))?;
+    let listener = bind(port).map_err(|error| {
+        let taken = error.kind() == std::io::ErrorKind::AddrInUse;
+        let way = if taken { " (--port names another; without it any that is free is taken)" } else { "" };
+        anyhow::Error::from(error).context(format!("cannot serve on port {port} of 127.0.0.1{way}"))
+    })?;
     let url = format!("http://{}/", listener.local_addr()?);
     outln!("{url}");
     errln!("Ctrl-C ends it");
-    if args.open {
-        open(&url);
-    }
+    ends_well();
+    let _opened = args.open.then(|| open(&url));
     serve(&listener, html).context("the server failed")
 }
 
@@ -116,15 +124,30 @@ fn opener(system: &str) -> (&'static str, &'static [&'static str]) {
     }
 }
 
-/// Opens a page in the system's browser; that there is none is worth a word, not a failure.
-fn open(what: &str) {
+/// How long what is written to a file waits to hear that no browser has opened it.
+const OPENING: Duration = Duration::from_secs(3);
+
+/// Opens a page in the system's browser, beside the work; that there is none is worth a word, not a failure.
+fn open(what: &str) -> Receiver<()> {
     let (program, before) = opener(std::env::consts::OS);
-    let quiet = || Stdio::null();
-    let started =
-        Command::new(program).args(before).arg(what).stdin(quiet()).stdout(quiet()).stderr(quiet()).spawn();
-    if let Err(error) = started {
-        errln!("handcast: {program} does not start ({error}): open {what} yourself");
-    }
+    let mut command = Command::new(program);
+    command.args(before).arg(what).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
+    let what = what.to_owned();
+    let (done, told) = channel();
+    let wait = move || {
+        match command.status() {
+            Ok(status) if !status.success() => {
+                errln!("handcast: {program} opens no browser ({status}): open {what} yourself");
+            }
+            Ok(_) => {}
+            Err(error) => errln!("handcast: {program} does not start ({error}): open {what} yourself"),
+        }
+        // Nobody may wait for it any more.
+        let _ = done.send(());
+    };
+    // Without a thread the page is there to be opened all the same.
+    let _ = Builder::new().name("browser".into()).spawn(wait);
+    told
 }
 
 #[cfg(test)]

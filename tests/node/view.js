@@ -1,6 +1,7 @@
 // Opens pages of `handcast view` in headless Chromium and does what a list says.
 // Usage: view.js CHROMIUM JOBS.json
-// A job: {page, width, height, hash, dark, still, blind (no WebGL 2), served (from a server that says it is of this type), damaged
+// A job: {page, width, height, hash, dark, still, blind (no WebGL 2), slow (five pictures a second are drawn,
+// and those of a clip come half a second late), served (from a server that says it is of this type), damaged
 // (there is nothing but words, which are its only step), steps}. Steps: {press}, {scrub}, {wheel},
 // {drag: [dx, dy]}, {pinch: factor}, {click: [selector, share of the width]}, {wait: ms}, {shot: FILE},
 // {picture: FILE}, {pixel: selector}, {drop: FILE}, {joint: [hand, number]} (clicks it), {check: selector}, {film: seconds to wait}.
@@ -125,6 +126,13 @@ try {
       await page.addInitScript(() => {
         const real = HTMLCanvasElement.prototype.getContext;
         HTMLCanvasElement.prototype.getContext = function (kind, ...rest) { return kind === "webgl2" ? null : real.call(this, kind, ...rest); };
+      });
+    }
+    if (job.slow) {
+      await page.addInitScript(() => {
+        window.requestAnimationFrame = draw => setTimeout(() => draw(performance.now()), 200);
+        const real = window.createImageBitmap.bind(window);
+        window.createImageBitmap = (...given) => real(...given).then(p => new Promise(done => setTimeout(done, 500, p)));
       });
     }
     const server = job.served && createServer((_, response) => {

@@ -131,6 +131,8 @@ fn a_clip_at_its_own_pace_is_seen_and_recorded() {
         let last = said.split("all in all: camera ").nth(1).unwrap_or_else(|| panic!("{said}"));
         let pace: f64 = last.split('/').next().unwrap().parse().unwrap();
         assert!(pace < 26.0 && last.contains("on the wire"), "25 pictures a second: {said}");
+        // Who has gone by the end has been there.
+        assert!(last.contains("1 viewer at most"), "{said}");
         let text = done(&["decode", path(&file), "-o", "-", "--to", "jsonl"]);
         assert!(text.lines().count() > 20, "{text}");
     }
@@ -443,6 +445,9 @@ fn what_cannot_be_sent_is_said() {
         refused(&args, &file, words);
     };
     live(&["no-such-clip.mp4"], &["no-such-clip.mp4", "no such file, and no camera"]);
+    let picture = folder.path().join("one.png");
+    image::RgbImage::from_pixel(64, 48, image::Rgb([90; 3])).save(&picture).unwrap();
+    live(&[path(&picture)], &["one.png: a single picture, in which nothing moves", "nothing to record"]);
     let avatar = ["no room is opened", "resolve", "no.such.host.invalid"];
     live(&[DEMO, "--vmc", "no.such.host.invalid:39539"], &avatar);
     let misuse = |args: &[&str], words: &[&str]| {

@@ -366,6 +366,14 @@ impl Live {
     }
 }
 
+impl Live {
+    /// Told to end, it tells the room.
+    fn end(mut self) {
+        let kill = Command::new("kill").arg(self.0.id().to_string()).status().unwrap();
+        assert!(kill.success() && self.0.wait().unwrap().success());
+    }
+}
+
 impl Drop for Live {
     fn drop(&mut self) {
         let _ = self.0.kill();
@@ -386,6 +394,8 @@ fn the_page_comes_back_to_a_server_that_was_killed() {
             "state.hands.length === 1 && state.message === null",
             "!state.open && state.hands.length === 0 && state.message !== null",
             "state.open && state.hands.length === 1 && state.message === null",
+            "!state.open && state.hands.length === 0 && state.message !== null",
+            "state.open && state.hands.length === 1 && state.message === null",
         ],
     }));
     pages.step(0);
@@ -395,8 +405,15 @@ fn the_page_comes_back_to_a_server_that_was_killed() {
     std::thread::sleep(Duration::from_secs(2));
     let live = Live::start(address);
     pages.step(2);
+    live.end();
+    pages.step(3);
+    let live = Live::start(address);
+    pages.step(4);
     let told = pages.end();
-    assert_eq!(told[0]["state"]["senders"], json!([0]), "{}", told[0]["state"]);
+    let state = &told[0]["state"];
+    assert_eq!(state["senders"], json!([0]), "{state}");
+    // Who has left is there again.
+    assert!(!state["facts"].as_str().unwrap().contains("Sender 1"), "{state}");
     drop(live);
 }
 
@@ -420,10 +437,14 @@ fn two_people_wave_at_each_other() {
     let folder = std::env::var_os("HANDCAST_TEST_PICTURES");
     // For the picture curves fill their half minute.
     let seconds = if folder.is_some() { 36 } else { 3 };
-    let shot = folder.map(|folder| path(&Path::new(&folder).join("live-preview.png")).to_owned());
+    let picture = |name: &str| folder.as_ref().map(|folder| path(&Path::new(folder).join(name)).to_owned());
+    let (shot, tall) = (picture("live-preview.png"), picture("live-phone.png"));
     let told = Pages::open(&json!({
         "url": format!("http://{}/hand", server.address()), "seconds": seconds, "patience": 60_000,
-        "pages": [{ "width": 900, "height": 440, "hands": 2, "shot": shot }],
+        "pages": [
+            { "width": 900, "height": 440, "hands": 2, "shot": shot },
+            { "width": 390, "height": 844, "hands": 2, "shot": tall },
+        ],
     }))
     .end();
     let state = &told[0]["state"];
@@ -432,6 +453,11 @@ fn two_people_wave_at_each_other() {
     assert_eq!(sides, [(&json!(0), &json!("right")), (&json!(1), &json!("left"))], "{state}");
     let across = |hand: &Value| hand["wrist"][0].as_f64().unwrap();
     assert!(across(&hands[0]) < across(&hands[1]), "beside one another: {state}");
+    // Where the stage is high, above one another.
+    let high = told[1]["state"]["hands"].as_array().unwrap();
+    let up = |hand: &Value| hand["wrist"][1].as_f64().unwrap();
+    assert!(up(&high[0]) > up(&high[1]) + 0.2, "above one another: {}", told[1]["state"]);
+    assert!((up(&hands[0]) - up(&hands[1])).abs() < 0.2, "beside one another: {state}");
     assert!(hands.iter().all(|hand| hand["valid"] == true && hand["sizes"] == 1), "{state}");
     let tones: Vec<_> = hands.iter().map(|hand| hand["tone"].clone()).collect();
     assert_eq!(tones, [tone(Side::Right), tone(Side::Left)], "{state}");

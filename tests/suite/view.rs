@@ -1,5 +1,6 @@
 //! The pages of `handcast view` in headless Chromium, and the server that hands them out.
 
+use std::collections::BTreeSet;
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
 use std::path::{Path, PathBuf};
@@ -270,6 +271,22 @@ fn the_page_works_on_a_phone_beside_its_clip_and_without_webgl() {
     assert_eq!((&glb[0]["instant"], &beside[0]["instant"]), (&json!(41), &json!(30)));
     pages.assert_shown(0, &pages.two_hands, &glb[0]);
     pages.assert_shown(1, &pages.one_hand, &beside[0]);
+}
+
+#[test]
+#[ignore = "needs Chromium and npm ci --prefix tests/node"]
+fn a_clip_moves_where_drawing_is_slow() {
+    let pages = Pages::new();
+    let step = json!({ "wait": 2500, "pixel": "#clip" });
+    let job =
+        json!({ "page": pages.one, "width": 640, "height": 480, "slow": true, "steps": [step, step, step] });
+    let found = browse(pages.folder.path(), &[job]);
+    for step in &found[0] {
+        assert!(step["playing"] == true && step["clip"].is_i64(), "no picture of the clip is shown: {step}");
+        assert!(step["pixel"][0].as_i64().unwrap() >= 18, "{step}");
+    }
+    let shown: BTreeSet<_> = found[0].iter().map(|step| step["clip"].as_i64()).collect();
+    assert!(shown.len() > 1, "the clip stands still: {shown:?}");
 }
 
 #[test]
@@ -633,12 +650,14 @@ fn the_server_prints_its_address_gives_the_page_and_ends_when_told() {
     let port = at.strip_prefix("127.0.0.1:").unwrap();
     let taken = handcast(&["view", path(&file), "--port", port]);
     assert_eq!(taken.status.code(), Some(1));
-    assert!(text(&taken.stderr).contains(&format!("cannot serve on port {port}")), "{}", text(&taken.stderr));
+    let words = format!("cannot serve on port {port} of 127.0.0.1 (--port names another");
+    assert!(text(&taken.stderr).contains(&words), "{}", text(&taken.stderr));
     // What Ctrl-C sends. Shells start what runs in the background deaf to it.
     let told = Command::new("kill").args(["-INT", &served.child.id().to_string()]).status();
     let end = Instant::now() + Duration::from_secs(2);
     while told.as_ref().is_ok_and(|s| s.success()) && Instant::now() < end {
-        if served.child.try_wait().unwrap().is_some() {
+        if let Some(status) = served.child.try_wait().unwrap() {
+            assert_eq!(status.code(), Some(0), "a page that is served ends so, well");
             break;
         }
         std::thread::sleep(Duration::from_millis(20));
@@ -733,4 +752,20 @@ fn pictures_have_the_size_number_and_times_asked_for() {
     let turn = draw(&one, "turn.webp", &["--turntable", "--frames", "8"]);
     let found = delays(image::codecs::webp::WebPDecoder::new(turn).unwrap().into_frames());
     assert_eq!(found.len(), 8);
+
+    // A hand that is away for long is away as long in the picture.
+    let (clip, away) = (name("clip.jsonl"), name("away.jsonl"));
+    let mut gap = read_poses(&both).unwrap();
+    gap.frames.retain(|frame| frame.pose.side == Side::Left);
+    gap.header.hands.truncate(1);
+    gap.frames.truncate(6);
+    gap.frames[3..].iter_mut().for_each(|frame| frame.time += 25.0);
+    write_poses(&away, &gap).unwrap();
+    let webp = draw(&away, "away.webp", &[]);
+    let found = delays(image::codecs::webp::WebPDecoder::new(webp).unwrap().into_frames());
+    assert_eq!(found, [40, 40, 25040, 40, 40, 40]);
+    gap.frames[3..].iter_mut().for_each(|frame| frame.time += 700.0);
+    write_poses(&clip, &gap).unwrap();
+    let out = handcast(&["render", path(&clip), "-o", path(&name("cut.gif")), "--size", "96x80"]);
+    assert!(text(&out.stderr).contains("1 picture is shown for 655.35 s, as long as one in a .gif is"));
 }

@@ -52,6 +52,9 @@ impl Folder {
         write("words.counts", b"0-5 1\n# more\n4-8 2\n");
         write("other.json", b"{\"a\": 1, \"b\": [2]}\n");
         write("list.json", b"[1, 2]\n");
+        let good = std::fs::read(folder.join("good.jsonl")).unwrap();
+        let header = good.split_inclusive(|byte| *byte == b'\n').next().unwrap();
+        write("none-seen.jsonl", header);
         write("words.toml", b"these are words\n");
         write("few.toml", b"# no shape\n");
     }
@@ -214,6 +217,57 @@ fn outputs_that_cannot_be_are_named() {
     let owned = |(line, words): (&str, &str)| (line.to_owned(), words.to_owned());
     refused(missing.into_iter().chain(folders.map(owned)));
     failed(2, kinds.map(owned));
+}
+
+#[test]
+fn what_to_do_instead_is_told() {
+    let owned = |(line, words): (&str, &str)| (line.to_owned(), words.to_owned());
+    let track = "; of clips and folders of pictures `handcast track` makes poses";
+    let clips = [
+        "import clip.avi -o x.jsonl",
+        "encode clip.avi -o x.fba",
+        "decode clip.avi -o x.glb",
+        "render clip.avi -o x.png",
+        "send clip.avi --vmc 127.0.0.1:9",
+        "compare good.fba clip.avi",
+        "view clip.avi -o x.html",
+    ];
+    let conceal = "; --conceal goes on behind damage";
+    let elsewhere = "; `handcast decode --conceal` makes poses of what is whole";
+    let ways = [
+        ("decode cut.fba -o x.glb", conceal),
+        ("view cut.fba -o x.html", conceal),
+        ("encode cut.fba -o x.fba", elsewhere),
+        ("compare cut.fba good.fba", elsewhere),
+        ("import none-seen.jsonl -o x.glb", "none-seen.jsonl: there is no pose of a hand in it"),
+        ("import none-seen.jsonl -o x.csv", "none-seen.jsonl: there is no pose of a hand in it"),
+        ("encode none-seen.jsonl -o x.fba", "none-seen.jsonl: there is no pose of a hand in it"),
+        ("encode none-seen.jsonl --live -o -", "none-seen.jsonl: there is no pose of a hand in it"),
+        ("render none-seen.jsonl -o x.png", "none-seen.jsonl: there is no pose of a hand in it"),
+        ("send none-seen.jsonl --vmc 127.0.0.1:9", "none-seen.jsonl: there is no pose of a hand in it"),
+        ("compare good.fba none-seen.jsonl", "none-seen.jsonl: there is no pose of a hand in it"),
+    ];
+    refused(clips.map(|line| (line.to_owned(), track.to_owned())).into_iter().chain(ways.map(owned)));
+    let misused = [
+        (
+            "encode good.jsonl -o x_hand.fbx",
+            "x_hand.fbx: a stream is no .fbx file, allowed are .fba, .mp4 and -",
+        ),
+        ("view good.jsonl -o x.txt", "x.txt: a page is no .txt file, allowed are .html and -"),
+        ("import good.jsonl -o x.fba", "; `handcast encode` writes streams"),
+        (
+            "decode good.fba -o x.mp4",
+            "; `handcast render` draws films, `handcast encode` writes streams in MP4",
+        ),
+        (
+            "bench live --chromium none --script none.js",
+            "none.js: no such script; --script names tests/node/live.js",
+        ),
+    ];
+    failed(2, misused.map(owned));
+    let out = run_in(Folder::new().0.path(), "bench labels good.jsonl");
+    assert_eq!(out.status.code(), Some(2));
+    assert!(text(&out.stderr).contains("<--counts <FILE>|--letters <FILE>>"), "{}", text(&out.stderr));
 }
 
 #[test]

@@ -100,6 +100,50 @@ pub fn poses_keep(clip: &PoseClip, rate: f64) -> bool {
     own_ticks_of(clip, rate).iter().all(Result::is_ok)
 }
 
+/// A while in which a hand has no poses, between two of them.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Gap {
+    /// Time of the pose before, seconds.
+    pub from: f64,
+    /// Time of the pose behind, seconds.
+    pub to: f64,
+    /// Poses that are missing, at least one.
+    pub frames: usize,
+}
+
+impl Gap {
+    /// From one of its frames to the next, seconds.
+    pub fn step(&self) -> f64 {
+        (self.to - self.from) / (self.frames + 1) as f64
+    }
+}
+
+/// How many steps neighbouring poses must be apart for one to be missing between them.
+const GAP: f64 = 1.5;
+/// Of uneven times, which share of the intervals is no gap.
+const USUAL: f64 = 0.9;
+
+/// The gaps in the poses of a hand, in order: intervals of more than 1.5 steps, which are those of the clip's rate, or, where
+/// its times are uneven, as long as all but a tenth of the hand's intervals.
+pub fn gaps(clip: &PoseClip, side: Side) -> Vec<Gap> {
+    let mut times: Vec<f64> = clip.of(side).map(|frame| frame.time).collect();
+    times.sort_by(f64::total_cmp);
+    let rate = clip_rate(clip);
+    let step = if poses_keep(clip, rate) {
+        1.0 / rate
+    } else {
+        let mut steps: Vec<f64> = times.windows(2).map(|pair| pair[1] - pair[0]).collect();
+        steps.sort_by(f64::total_cmp);
+        steps.get((USUAL * steps.len() as f64) as usize).copied().unwrap_or_default().max(1.0 / rate)
+    };
+    let wide = times.windows(2).filter(|pair| pair[1] - pair[0] > GAP * step);
+    let gap = |pair: &[f64]| {
+        let frames = ((pair[1] - pair[0]) / step).round() as usize - 1;
+        Gap { from: pair[0], to: pair[1], frames }
+    };
+    wide.map(gap).collect()
+}
+
 /// A tick of its own for each pose of the left hand, and of the right one, or where they are in ticks. Poses of one instant have
 /// one tick, whichever hand they are of.
 fn own_ticks_of(clip: &PoseClip, rate: f64) -> [Result<Vec<Option<f64>>, Vec<f64>>; 2] {

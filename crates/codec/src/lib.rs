@@ -48,9 +48,9 @@ mod timeline;
 mod tips;
 
 pub use clip::{
-    DecodedBaps, DecodedStream, EncodedClip, bap_frames, clip_rate, decode_baps, decode_planes, decode_poses,
-    decode_poses_within, encode_bridged, encode_poses, on_ticks, poses_from_frames, poses_from_frames_within,
-    poses_keep, poses_on_ticks,
+    DecodedBaps, DecodedStream, EncodedClip, Gap, bap_frames, clip_rate, decode_baps, decode_planes,
+    decode_poses, decode_poses_within, encode_bridged, encode_poses, gaps, on_ticks, poses_from_frames,
+    poses_from_frames_within, poses_keep, poses_on_ticks,
 };
 pub use damage::Damage;
 pub use decoder::{FADE, PlaneTotals, PoseDecoder, PoseDecoderOptions};

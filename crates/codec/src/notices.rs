@@ -125,13 +125,15 @@ impl Absences {
     }
 }
 
-/// That poses begin late, which a stream does not say.
+/// That poses begin late, or before 0, which a stream does not say.
 pub fn of_start(clip: &PoseClip) -> Option<String> {
     let start = clip.frames.iter().map(|frame| frame.time).fold(f64::INFINITY, f64::min);
-    (LATE..EARLIEST_CLOCK).contains(&start).then(|| {
+    let off = start.abs();
+    let beside =
+        if start < 0.0 { format!("starts {off:.2} s after it") } else { format!("must start {off:.2} s in") };
+    (LATE..EARLIEST_CLOCK).contains(&off).then(|| {
         format!(
-            "the poses begin at {start:.2} s, the stream with the first of them: what is played beside it must start \
-             {start:.2} s in"
+            "the poses begin at {start:.2} s, the stream with the first of them: what is played beside it {beside}"
         )
     })
 }
@@ -250,6 +252,11 @@ mod tests {
         assert_eq!(of_start(&late), None);
         late.frames.iter_mut().for_each(|frame| frame.time += 3.0);
         assert!(of_start(&late).unwrap().starts_with("the poses begin at 3.00 s"));
+        late.frames.iter_mut().for_each(|frame| frame.time -= 5.5);
+        assert_eq!(
+            of_start(&late).unwrap(),
+            "the poses begin at -2.50 s, the stream with the first of them: what is played beside it starts 2.50 s after it"
+        );
         late.frames.clear();
         assert_eq!(of_start(&late), None);
     }

@@ -13,6 +13,7 @@ use super::track::known::{check_ranges, labelled, percent, without};
 
 /// Compares numbers of fingers and letters that tracked poses show with labels of the clip
 #[derive(Debug, clap::Args)]
+#[command(group = clap::ArgGroup::new("known").required(true).multiple(true).args(["counts", "letters"]))]
 pub struct Args {
     /// Poses of the clip, one a frame, as `handcast track` writes them; with --frames any motion
     poses: PathBuf,
@@ -21,7 +22,7 @@ pub struct Args {
     #[arg(long, value_name = "FILE")]
     frames: Option<PathBuf>,
     /// Ranges of frames and how many fingers they show, lines such as `120-150 3`
-    #[arg(long, value_name = "FILE", required_unless_present = "letters")]
+    #[arg(long, value_name = "FILE")]
     counts: Option<PathBuf>,
     /// Ranges of frames and the letter of American Sign Language they show, lines such as `58-82 I`
     #[arg(long, value_name = "FILE")]

@@ -50,7 +50,7 @@ pub struct Args {
     /// Chromium, for what it takes to draw, always by the processor
     #[arg(long, value_name = "FILE")]
     chromium: Option<PathBuf>,
-    /// The script that opens pages in it
+    /// The script that opens pages in it; the default is in the folder of the sources
     #[arg(long, value_name = "FILE", default_value = "tests/node/live.js")]
     script: PathBuf,
     /// Share of the segments that are lost on a way to a viewer with 20 ms delay; several with commas
@@ -135,6 +135,12 @@ struct Joins {
 
 /// Runs the measurement.
 pub fn run(args: &Args) -> anyhow::Result<()> {
+    if args.chromium.is_some() && !args.script.is_file() {
+        refuse!(
+            "{}: no such script; --script names tests/node/live.js of the sources, where it lies elsewhere",
+            args.script.display()
+        );
+    }
     let clip = match &args.poses {
         Some(path) => steadied(read_poses(path)?),
         None => demo_poses()?,

@@ -20,7 +20,7 @@ use self::known::Known;
 use self::measured::{Measured, measure, of_pipeline};
 use self::report::{Descended, Method, Report, Row};
 use self::sequence::{Clip, Sequence, Synthetic};
-use crate::cli::common::{Face, Hand, progress, write_output};
+use crate::cli::common::{Face, Hand, progress, told_kind, write_output};
 
 /// Measures objectives × optimisers × sequences against known poses
 #[derive(Debug, clap::Args)]
@@ -105,8 +105,8 @@ pub struct Args {
     /// Print the errors of every degree of freedom
     #[arg(long)]
     details: bool,
-    /// Everything measured, for machines (- for standard output, in place of the text)
-    #[arg(long, value_name = "FILE")]
+    /// Everything measured, for machines: into a .json, or without one to standard output, in place of the text
+    #[arg(long, value_name = "FILE", num_args = 0..=1, default_missing_value = "-")]
     json: Option<PathBuf>,
     /// The comparison as a picture
     #[arg(long, value_name = "FILE")]
@@ -279,6 +279,10 @@ impl Args {
 
 /// Runs the comparison.
 pub fn run(args: &Args) -> anyhow::Result<()> {
+    // A clip behind --json is meant to be measured.
+    if let Some(path) = args.json.as_deref().filter(|path| told_kind(path, &["json"]).is_some()) {
+        refuse!("--json {}: allowed is a name in .json; what is measured stands before", path.display());
+    }
     if let Some(frames) = args.frames.filter(|n| !(1..=100_000).contains(n)) {
         refuse!("--frames {frames}, allowed 1 to 100000");
     }

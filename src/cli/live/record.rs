@@ -4,7 +4,7 @@ use std::fs::{self, File};
 use std::io::{self, Seek as _, SeekFrom, Write as _};
 use std::path::{Path, PathBuf};
 
-use anyhow::Context as _;
+use anyhow::{Context as _, bail};
 use handcast_fba::syntax::SEQUENCE_END;
 use handcast_formats::mp4::{MuxOptions, mux};
 use handcast_live::wire::Plane;
@@ -141,12 +141,11 @@ impl Recording {
         matches!(self.sink, Sink::Passed(_))
     }
 
-    /// Puts the planes under the file's name, or waits until a pipe has taken those that it can. Where nothing was sent there is none; where it cannot be written they stay
-    /// beside it.
+    /// Puts the planes under the file's name, or waits until a pipe has taken those that it can. Where nothing was sent there is none,
+    /// which is an error; where it cannot be written they stay beside it.
     pub fn finish(mut self) -> anyhow::Result<()> {
         if !self.is_begun() {
-            errln!("handcast: there was nothing to record, so that there is no recording");
-            return Ok(());
+            bail!("there was nothing to record, so that there is no recording");
         }
         match &mut self.sink {
             Sink::Beside { path, partial, .. } => placed(path, partial)

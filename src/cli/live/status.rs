@@ -31,6 +31,8 @@ pub struct Status {
     bar: Option<ProgressBar>,
     begun: Option<Moment>,
     last: Option<Moment>,
+    /// Viewers at once, at most.
+    most: usize,
 }
 
 impl Status {
@@ -40,11 +42,12 @@ impl Status {
             ProgressStyle::with_template("{wide_msg}").unwrap_or_else(|_| ProgressStyle::default_spinner())
         };
         let bar = terminal.then(|| ProgressBar::new_spinner().with_style(style()));
-        Self { quiet, json, bar, begun: None, last: None }
+        Self { quiet, json, bar, begun: None, last: None, most: 0 }
     }
 
     /// Says how it goes, if it is time, and that no hand is seen.
     pub fn tell(&mut self, worker: &mut Worker, slot: &Slot, server: &Server) {
+        self.most = self.most.max(server.counted().viewers);
         if let Some(notice) = worker.take_notice() {
             let say = || errln!("handcast: {notice}");
             self.bar.as_ref().map_or_else(say, |bar| bar.suspend(say));
@@ -78,10 +81,11 @@ impl Status {
     /// Says how it went.
     pub fn end(&mut self, worker: &Worker, slot: &Slot, server: &Server) {
         let now = moment(worker, slot, server);
-        let rates = Rates::between(self.begun.as_ref().unwrap_or(&now), &now);
+        let mut rates = Rates::between(self.begun.as_ref().unwrap_or(&now), &now);
+        rates.viewers = self.most.max(rates.viewers);
         self.bar.iter().for_each(ProgressBar::finish_and_clear);
         if self.begun.is_some() && !self.quiet {
-            errln!("all in all: {rates}");
+            errln!("all in all: {rates} at most");
         }
         if self.json {
             outln!("{}", serde_json::json!(rates));

@@ -772,6 +772,20 @@ mod tests {
     }
 
     #[test]
+    fn keys_move_where_the_other_has_no_poses() {
+        let keyed = CompareOptions { keyed: [false, true], ..CompareOptions::default() };
+        let mut gap = ramp(60);
+        gap.frames.drain(20..30);
+        let found = compare(&gap, &gap, &keyed);
+        assert_eq!((found.unmatched_frames, found.max_deg()), ([0, 10], 0.0));
+        assert!(compare(&ramp(60), &ramp(60), &keyed).is_complete());
+        // A hand that keeps still tells nothing that could be missing.
+        let mut still = clip(Side::Right, 30.0, 60, |_| 20.0);
+        still.frames.drain(20..30);
+        assert!(compare(&still, &still, &keyed).is_complete());
+    }
+
+    #[test]
     fn other_rates_and_keys_are_interpolated() {
         let fast = clip(Side::Right, 75.0, 150, |t| 30.0 * t);
         let found = compare(&ramp(59), &fast, &CompareOptions::default());

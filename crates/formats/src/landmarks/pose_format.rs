@@ -22,6 +22,7 @@ use crate::motion::{
     Content, ContentError, Format, Keeps, Lost, Ticks, Times, WriteError, WriteOptions, Writer, sides,
     skeleton,
 };
+use handcast_codec::gaps;
 use handcast_hand::clip::MAX_RATE;
 use handcast_hand::landmarks::{JointPoints, mediapipe_21};
 use handcast_hand::{HandPose, Morphology, PoseClip, Side, Skeleton, TimedPose};
@@ -455,13 +456,18 @@ pub fn write_pose(
     let mut poses: Vec<Vec<Option<Tick>>> = vec![vec![None; count]; hands.len()];
     for (track, (side, _)) in poses.iter_mut().zip(&hands) {
         let given: Vec<&TimedPose> = clip.of(*side).collect();
+        let gaps = gaps(clip, *side);
         for frame in ticks.even.of(*side) {
             // Whether a hand is there, and how surely, is not interpolated.
             let after = given.partition_point(|other| other.time < frame.time);
+            let off = |given: &TimedPose| (given.time - frame.time).abs();
             let near = given[after.saturating_sub(1)..].iter().take(2);
-            let near =
-                near.min_by(|a, b| (a.time - frame.time).abs().total_cmp(&(b.time - frame.time).abs()));
-            let there = near.filter(|given| given.valid);
+            let near = near.min_by(|a, b| off(a).total_cmp(&off(b)));
+            let gap = gaps.get(gaps.partition_point(|gap| gap.to < frame.time));
+            let missing = |given: &TimedPose| {
+                gap.is_some_and(|gap| gap.from < frame.time && off(given) > gap.step() / 2.0)
+            };
+            let there = near.filter(|given| given.valid && !missing(given));
             track[ticks.at(frame.time)] =
                 there.map(|given| Tick { pose: &frame.pose, confidence: given.confidence.unwrap_or(1.0) });
         }
@@ -652,6 +658,23 @@ mod tests {
                 prop_assert!((b.confidence.unwrap_or(1.0) - sure).abs() < 1e-6);
                 prop_assert_eq!(b.confidence.is_some(), doubtful);
             }
+        }
+    }
+
+    #[test]
+    fn where_there_is_no_pose_there_is_no_hand() {
+        let mut clip = crate::motion::tests::clip(&[Side::Right]);
+        clip.frames.drain(8..18);
+        // Twice as many frames as there are poses: a hand between two of them is there.
+        for (rate, missing) in [(25.0, 10), (50.0, 19)] {
+            let mut bytes = Vec::new();
+            write_pose(&clip, &Morphology::default(), rate, PoseVersion::V0_2, &mut bytes).unwrap();
+            let read = read(&bytes).unwrap();
+            let there = |frame: &&LandmarkFrame| frame.points.iter().any(Option::is_some);
+            let absent: Vec<f64> = read[0].frames.iter().filter(|f| !there(f)).map(|f| f.time).collect();
+            assert!(absent.len().abs_diff(missing) <= 2, "{rate}: {absent:?}");
+            assert!(absent.iter().all(|time| (0.28..0.72).contains(time)), "{rate}: {absent:?}");
+            assert!(read[0].frames.iter().filter(there).all(|f| f.confidence.is_none_or(|c| c == 1.0)));
         }
     }
 

@@ -7,7 +7,8 @@
 //!
 //! The first line names the columns. Time is in seconds; x to qw are the wrist's position (m) and rotation in the
 //! camera frame of the poses; angles are degrees by name. Written are all 29 angles of valid poses, and behind them a
-//! column `confidence` where a pose has one; read are any choice and order of them, those without a column are 0.
+//! column `confidence` where a pose has one; read are any choice and order of them, those without a column are 0. Where the
+//! times do not tell the motion's rate, a last column `rate` has it, the same in all rows, frames per second.
 
 use std::io::Write;
 
@@ -18,6 +19,8 @@ use thiserror::Error;
 use super::{Format, Keeps, Lost, Motion, WriteError, WriteOptions, Writer};
 use crate::batches::write_each;
 use crate::decimal::push_fixed;
+use handcast_codec::clip_rate;
+use handcast_hand::clip::MAX_RATE;
 use handcast_hand::{
     ClipHand, FrameCheck, HandPose, JointAngle, MAX_TIME, PoseClip, PoseHeader, Side, TimedPose,
 };
@@ -44,8 +47,12 @@ pub(crate) static FORMAT: Format = Format {
 const FIXED: [&str; 9] = ["time", "hand", "x", "y", "z", "qx", "qy", "qz", "qw"];
 /// The column of how sure poses are, 0 to 1.
 const CONFIDENCE: &str = "confidence";
-/// Digits after the point: of times and positions, of rotations, of angles, and of confidence.
-const DIGITS: [u32; 4] = [6, 7, 4, 3];
+/// The column of the motion's rate, frames per second, where times are uneven.
+const RATE: &str = "rate";
+/// Digits after the point: of times and positions, of rotations, of angles, of confidence, and of rates.
+const DIGITS: [u32; 5] = [6, 7, 4, 3, 6];
+/// By which share a rate is another than the times tell.
+const OTHER_RATE: f64 = 1e-3;
 
 /// What is wrong with a table.
 #[derive(Clone, Debug, PartialEq, Error)]
@@ -96,7 +103,8 @@ fn read_within(text: &str, limits: &Limits) -> Result<PoseClip, TableError> {
         if cells.iter().all(str::is_empty) {
             continue;
         }
-        let frame = row(&cells, &columns).map_err(wrong)?;
+        let (frame, rate) = row(&cells, &columns).map_err(wrong)?;
+        clip.header.rate = clip.header.rate.or(rate);
         let instants = (clip.frames.len() + 1) / clip.header.hands.len().max(1);
         limits.check_count(Limit::Instants, instants).map_err(|excess| wrong(excess.to_string()))?;
         let side = frame.pose.side;
@@ -122,6 +130,7 @@ fn line_at(text: &str, byte: u64) -> usize {
 enum Column {
     Angle(JointAngle),
     Confidence,
+    Rate,
 }
 
 fn columns(names: &StringRecord) -> Result<Vec<Column>, TableError> {
@@ -132,6 +141,7 @@ fn columns(names: &StringRecord) -> Result<Vec<Column>, TableError> {
     let column = |name: &str| match JointAngle::from_name(name) {
         Some(angle) => Ok(Column::Angle(angle)),
         None if name == CONFIDENCE => Ok(Column::Confidence),
+        None if name == RATE => Ok(Column::Rate),
         None => Err(TableError::Header { what: format!("{name:?} is no joint angle") }),
     };
     for (i, name) in names.iter().enumerate() {
@@ -142,7 +152,8 @@ fn columns(names: &StringRecord) -> Result<Vec<Column>, TableError> {
     names.iter().skip(FIXED.len()).map(column).collect()
 }
 
-fn row(cells: &StringRecord, columns: &[Column]) -> Result<TimedPose, String> {
+/// A pose, and the motion's rate where the row tells it.
+fn row(cells: &StringRecord, columns: &[Column]) -> Result<(TimedPose, Option<f64>), String> {
     if cells.len() != FIXED.len() + columns.len() {
         return Err(format!("{} cells, expected {}", cells.len(), FIXED.len() + columns.len()));
     }
@@ -161,16 +172,23 @@ fn row(cells: &StringRecord, columns: &[Column]) -> Result<TimedPose, String> {
         return Err(format!("the rotation has norm {:.3}, allowed 0.98 to 1.02", rotation.norm()));
     }
     pose.rotation = UnitQuaternion::new_normalize(rotation);
-    let mut confidence = None;
+    let (mut confidence, mut rate) = (None, None);
     for (column, cell) in columns.iter().zip(cells.iter().skip(FIXED.len())) {
         match column {
             Column::Angle(angle) => pose.set(*angle, number(cell)?.to_radians()),
             // What range it may have is for the check of any pose.
-            Column::Confidence if cell.is_empty() => {}
+            Column::Confidence | Column::Rate if cell.is_empty() => {}
             Column::Confidence => confidence = Some(number(cell)?),
+            Column::Rate => {
+                let told = number(cell)?;
+                if !(told > 0.0 && told <= MAX_RATE) {
+                    return Err(format!("rate is {told}, allowed above 0 to {MAX_RATE}"));
+                }
+                rate = Some(told);
+            }
         }
     }
-    Ok(TimedPose { confidence, ..TimedPose::new(number(&cells[0])?, pose) })
+    Ok((TimedPose { confidence, ..TimedPose::new(number(&cells[0])?, pose) }, rate))
 }
 
 /// Writes a table of the valid poses.
@@ -184,14 +202,25 @@ pub fn write_csv(clip: &PoseClip, mut out: impl Write) -> Result<(), WriteError>
     let frames: Vec<&TimedPose> = clip.frames.iter().filter(|f| f.valid).collect();
     let sure = frames.iter().any(|frame| frame.confidence.is_some());
     let names = FIXED.into_iter().chain(JointAngle::ALL.map(JointAngle::name));
-    let names: Vec<&str> = names.chain(sure.then_some(CONFIDENCE)).collect();
+    let rate = untold_rate(clip);
+    let names: Vec<&str> =
+        names.chain(sure.then_some(CONFIDENCE)).chain(rate.is_some().then_some(RATE)).collect();
     writeln!(out, "{}", names.join(","))?;
-    Ok(write_each(&frames, &mut out, |text, _, frame| push_row(text, frame, sure))?)
+    Ok(write_each(&frames, &mut out, |text, _, frame| push_row(text, frame, sure, rate))?)
 }
 
-/// The row of a pose, `sure` with its confidence: no cell needs quotes.
-fn push_row(text: &mut Vec<u8>, frame: &TimedPose, sure: bool) {
-    let [of_places, of_rotations, of_angles, of_confidence] = DIGITS;
+/// The rate of a clip, where its times tell another one.
+fn untold_rate(clip: &PoseClip) -> Option<f64> {
+    let rate = clip.header.rate?;
+    let header = PoseHeader { rate: None, ..clip.header.clone() };
+    let valid = clip.frames.iter().filter(|frame| frame.valid).cloned().collect();
+    let told = clip_rate(&PoseClip { header, frames: valid });
+    ((told / rate - 1.0).abs() > OTHER_RATE).then_some(rate)
+}
+
+/// The row of a pose, `sure` with its confidence, and with a rate where there is one: no cell needs quotes.
+fn push_row(text: &mut Vec<u8>, frame: &TimedPose, sure: bool, rate: Option<f64>) {
+    let [of_places, of_rotations, of_angles, of_confidence, of_rates] = DIGITS;
     let (t, q) = (frame.pose.translation, frame.pose.rotation.coords);
     push_fixed(text, frame.time, of_places);
     text.push(b',');
@@ -208,6 +237,10 @@ fn push_row(text: &mut Vec<u8>, frame: &TimedPose, sure: bool) {
             push_fixed(text, confidence, of_confidence);
         }
     }
+    if let Some(rate) = rate {
+        text.push(b',');
+        push_fixed(text, rate, of_rates);
+    }
     text.push(b'\n');
 }
 
@@ -215,6 +248,27 @@ fn push_row(text: &mut Vec<u8>, frame: &TimedPose, sure: bool) {
 mod tests {
     use super::*;
     use crate::motion::tests::{clip, worst};
+
+    #[test]
+    fn a_rate_that_uneven_times_do_not_tell_is_in_a_column() {
+        let mut uneven = clip(&[Side::Right]);
+        let table = |clip: &PoseClip| {
+            let mut text = Vec::new();
+            write_csv(clip, &mut text).unwrap();
+            String::from_utf8(text).unwrap()
+        };
+        assert!(!table(&uneven).contains(RATE));
+        for (i, frame) in uneven.frames.iter_mut().enumerate() {
+            frame.time *= 1.4;
+            frame.time += 0.3 / 25.0 * (2.3 * i as f64).sin();
+        }
+        let text = table(&uneven);
+        assert!(text.lines().next().unwrap().ends_with(",rate"), "{text}");
+        assert!(text.lines().skip(1).all(|line| line.ends_with(",25.000000")), "{text}");
+        assert_eq!(read_csv(&text).unwrap().header.rate, Some(25.0));
+        let refused = read_csv(&text.replace(",25.000000", ",-1")).unwrap_err().to_string();
+        assert!(refused.contains("line 2: rate is -1, allowed above 0"), "{refused}");
+    }
 
     #[test]
     fn both_hands_round_trip_within_the_digits_written() {

@@ -1,6 +1,6 @@
 //! What the files of a format cannot tell of poses, in words.
 
-use handcast_codec::notices;
+use handcast_codec::{gaps, notices};
 use handcast_hand::landmarks::{LANDMARKS_21, PoseSolver, SolverOptions};
 use handcast_hand::{Finger, PoseClip, Side, TimedPose};
 
@@ -28,6 +28,9 @@ impl Keeps {
         let mut notes: Vec<String> = self.lost.notes(clip, ending).into_iter().collect();
         if self.lost == Lost::Bridged {
             notes.extend(late(clip, ending));
+            // What skips frames leaves them out.
+            notes
+                .extend((self.times != Times::Skipping).then(|| missing(clip, ending)).into_iter().flatten());
         }
         notes.extend(self.times.notes(clip, options, ending));
         if !self.palm {
@@ -64,22 +67,17 @@ impl Times {
             format!("the poses begin at {start:.2} s, which {ending} cannot tell: its first frame is the first of them")
         });
         let Ok(rate) = options.rate_of(clip) else { return begin.into_iter().collect() };
-        let uneven = notices::of_times(clip, rate);
-        let gaps = (self == Self::Even && uneven.is_none()).then(|| gaps(clip, rate, ending));
-        begin.into_iter().chain(uneven).chain(gaps.into_iter().flatten()).collect()
+        begin.into_iter().chain(notices::of_times(clip, rate)).collect()
     }
 }
 
 /// That hands have no poses for a while.
-fn gaps(clip: &PoseClip, rate: f64, ending: &str) -> Vec<String> {
+fn missing(clip: &PoseClip, ending: &str) -> Vec<String> {
     let of = |side: Side| {
-        let mut times: Vec<f64> = clip.of(side).map(|frame| frame.time).collect();
-        times.sort_by(f64::total_cmp);
-        let steps = times.windows(2).map(|pair| ((pair[1] - pair[0]) * rate).round().max(1.0) as usize - 1);
-        let missing = steps.sum::<usize>();
-        (missing > 0).then(|| {
+        let frames = gaps(clip, side).iter().map(|gap| gap.frames).sum::<usize>();
+        (frames > 0).then(|| {
             format!(
-                "{missing} frames have no pose of the {} hand, which {ending} cannot tell: it moves on meanwhile",
+                "{frames} frames have no pose of the {} hand, which {ending} cannot tell: it moves on meanwhile",
                 side.name()
             )
         })
@@ -213,9 +211,11 @@ mod tests {
                 notes(id, &late)
             );
             assert_eq!(says(id, &uneven, "are interpolated at "), even, "{id}: {:?}", notes(id, &uneven));
-            // BAP text numbers its frames.
+            // BAP text numbers its frames, and others have none where there is no pose.
             let told = says(id, &gap, "7 frames have no pose of the left hand, which ");
-            assert_eq!(told, even && id != "bap", "{id}: {:?}", notes(id, &gap));
+            let bridges = ["bvh", "glb", "gltf", "vrma"].contains(&id);
+            assert_eq!(told, bridges, "{id}: {:?}", notes(id, &gap));
+            assert!(!says(id, &uneven, "have no pose"), "{id}: {:?}", notes(id, &uneven));
         }
     }
 

@@ -33,11 +33,12 @@ class Shown {
 
   get worn() { return Boolean(this.vertices); }
 
-  // joints: 25 matrices column by column, moved aside by so much.
-  pose(joints, aside) {
+  // joints: 25 matrices column by column, moved aside and up by so much.
+  pose(joints, [aside, up]) {
     this.joints.set(joints);
     for (let j = 0; j < 25; j += 1) {
       this.joints[j * 16 + 12] += aside;
+      this.joints[j * 16 + 13] += up;
       for (let r = 0; r < 3; r += 1) {
         for (let c = 0; c < 4; c += 1) this.frames[j * 12 + r * 4 + c] = this.joints[j * 16 + c * 4 + r];
       }
@@ -46,8 +47,8 @@ class Shown {
   }
 }
 
-// Metres between the middles of two senders.
-const APART = 0.34;
+// Metres between the middles of two senders, beside and above one another.
+const APART = [0.34, 0.32];
 // Milliseconds that skins wait for a sketch of the first hand.
 const LONGEST_SKETCH = 1000;
 // Share of the way to a smaller view that is gone at each picture.
@@ -95,14 +96,26 @@ function lookAtSize(pixels) {
   fine = Boolean(painter?.hasCard) && pixels / (2 * HALF * orbit.distance) > (fine ? 0.7 : 1) * PLAIN;
 }
 
+// How many senders stand beside one another where they are largest on this stage: all of them on a wide one.
+function columns(senders, [width, height]) {
+  const large = n => Math.min(width / (n * APART[0]), height / (Math.ceil(senders / n) * APART[1]));
+  let best = senders;
+  for (let n = senders - 1; n > 0; n -= 1) if (large(n) > large(best)) best = n;
+  return best;
+}
+
 // Whether there is one.
 let seen = false;
 // The hands of everybody, as far as they have been seen.
 function handsNow() {
   const senders = [...room.senders.values()].filter(sender => sender.shown).sort((a, b) => a.number - b.number);
   const hands = [];
+  const across = columns(senders.length, stage[0] ? stage : [canvas.clientWidth, canvas.clientHeight]);
+  const rows = Math.ceil(senders.length / across);
   senders.forEach((sender, n) => {
-    const aside = (n - (senders.length - 1) / 2) * APART;
+    const row = Math.floor(n / across);
+    const beside = Math.min(across, senders.length - row * across);
+    const at = [((n % across) - (beside - 1) / 2) * APART[0], ((rows - 1) / 2 - row) * APART[1]];
     for (const { side, joints, lost } of sender.shown.hands) {
       if (sender.sides.length && !sender.sides.includes(side)) continue;
       const key = `${sender.number} ${side}`;
@@ -121,7 +134,7 @@ function handsNow() {
         hand.colour = colour ?? PLAIN_SKIN;
         hand.skin = colour && inLinearLight(colour);
       }
-      hand.pose(joints, aside);
+      hand.pose(joints, at);
       hand.valid = !(lost || sender.damaged || sender.shown.lost[side]);
       hand.key = key;
       hands.push(hand);
@@ -300,13 +313,14 @@ function second() {
 
 // Why hands are sketched alone.
 let unskinned = "";
-// Who has gone last, and until when that is said.
-let leaving = { words: "", until: 0 };
+// Who has gone last, and until when that is said, unless one of that number is there again.
+let leaving = { words: "", sender: null, until: 0 };
 function facts() {
   const hands = [...shownHands.values()].length;
   const many = (n, what) => `${n} ${what}${n === 1 ? "" : "s"}`;
   const there = room.open ? `${many(room.senders.size, "sender")}, ${many(hands, "hand")}, by ${room.link.by}` : "not connected";
-  const gone = room.senders.size && performance.now() < leaving.until ? leaving.words : "";
+  const back = room.senders.has(leaving.sender);
+  const gone = room.senders.size && !back && performance.now() < leaving.until ? leaving.words : "";
   write("facts", [there, gone, unskinned].filter(Boolean).join(". "));
 }
 
@@ -321,7 +335,7 @@ function told(what, more) {
   if (what === "end") {
     const how = more.gone ? "is gone: its connection broke" : "has left";
     parted = `The sender ${how}.`;
-    leaving = { words: `Sender ${more.sender + 1} ${how}`, until: performance.now() + PARTED };
+    leaving = { words: `Sender ${more.sender + 1} ${how}`, sender: more.sender, until: performance.now() + PARTED };
   }
   if (what === "error" || what === "closed") say(more);
   // Until there is a connection again it stays said why there is none.

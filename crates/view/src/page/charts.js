@@ -110,25 +110,56 @@ class Curves extends Chart {
 
   content(context) {
     context.lineJoin = "round";
-    // No more points than three a pixel.
-    const stride = Math.max(1, Math.floor(count / (3 * this.across())));
+    // Where more than three points share a pixel, a curve would fill all that it reaches.
+    const draw = count > 3 * this.across() ? this.envelope : this.curve;
     for (const line of this.lines) {
-      context.strokeStyle = ink(line.colour);
+      context.strokeStyle = context.fillStyle = ink(line.colour);
       context.lineWidth = line.strong ? 2.75 : 1.75;
       context.globalAlpha = line.faint ? 0.3 : 1;
       context.setLineDash(line.dashed ? [5, 3] : []);
-      context.beginPath();
-      let down = false;
-      for (let i = 0; i < count; i += stride) {
-        if (!line.valid(i)) { down = false; continue; }
-        const [x, y] = [this.x(times[i]), this.y(line.value(i))];
-        if (down) context.lineTo(x, y); else context.moveTo(x, y);
-        down = true;
-      }
-      context.stroke();
+      draw.call(this, context, line);
     }
     context.setLineDash([]);
     context.globalAlpha = 1;
+  }
+
+  curve(context, line) {
+    context.beginPath();
+    let down = false;
+    for (let i = 0; i < count; i += 1) {
+      if (!line.valid(i)) { down = false; continue; }
+      const [x, y] = [this.x(times[i]), this.y(line.value(i))];
+      if (down) context.lineTo(x, y); else context.moveTo(x, y);
+      down = true;
+    }
+    context.stroke();
+  }
+
+  // What a line reaches from and to in each pixel, lightly, and its mean.
+  envelope(context, line) {
+    const runs = [];
+    let run = null;
+    for (let i = 0; i < count; i += 1) {
+      if (!line.valid(i)) { run = null; continue; }
+      if (!run) runs.push(run = []);
+      const [x, value] = [Math.floor(this.x(times[i])), line.value(i)];
+      const last = run[run.length - 1];
+      if (last?.x !== x) run.push({ x, low: value, high: value, sum: value, n: 1 });
+      else Object.assign(last, { low: Math.min(last.low, value), high: Math.max(last.high, value), sum: last.sum + value, n: last.n + 1 });
+    }
+    const alpha = context.globalAlpha;
+    for (const columns of runs) {
+      context.globalAlpha = alpha * 0.1;
+      context.beginPath();
+      for (const { x, high } of columns) context.lineTo(x + 0.5, this.y(high));
+      for (const { x, low } of columns.toReversed()) context.lineTo(x + 0.5, this.y(low));
+      context.fill();
+      context.globalAlpha = alpha;
+      context.lineWidth = line.strong ? 2 : 1;
+      context.beginPath();
+      for (const { x, sum, n } of columns) context.lineTo(x + 0.5, this.y(sum / n));
+      context.stroke();
+    }
   }
 }
 

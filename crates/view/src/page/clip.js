@@ -6,6 +6,7 @@ class Clip {
     this.video = video;
     this.ready = new Map();
     this.wanted = -1;
+    this.shown = null;
     canvas.width = video.width;
     canvas.height = video.height;
     this.context = canvas.getContext("2d");
@@ -27,14 +28,17 @@ class Clip {
     let picture = this.ready.get(i);
     if (!picture) {
       picture = createImageBitmap(this.video.bytes.slice(this.video.ends[i - 1] ?? 0, this.video.ends[i], "image/jpeg"));
-      picture.then(p => { if (this.ready.has(i)) this.latest(i, p); else p.close(); }, () => {});
+      picture.then(p => { if (this.ready.has(i)) this.draw(i, p); else p.close(); }, () => {});
       this.ready.set(i, picture);
     }
     return picture;
   }
 
-  latest(i, picture) {
-    if (i !== this.wanted) return;
+  // Where drawing is slow the wanted picture comes too late: the nearest one that is there stands for it.
+  draw(i, picture) {
+    if (this.wanted < 0 || !this.ready.has(i)) return;
+    const off = k => Math.abs(k - this.wanted);
+    if (i !== this.wanted && this.shown !== null && off(i) >= off(this.shown)) return;
     this.context.drawImage(picture, 0, 0);
     this.shown = i;
   }
@@ -43,7 +47,7 @@ class Clip {
     const i = this.at(time);
     if (i === this.wanted) return;
     this.wanted = i;
-    this.picture(i).then(p => this.latest(i, p), () => {});
+    this.picture(i).then(p => this.draw(i, p), () => {});
     for (let k = 1; k <= 4 && i + k < this.video.times.length; k += 1) this.picture(i + k);
     for (const [k, picture] of this.ready) {
       if (this.ready.size <= 32) break;

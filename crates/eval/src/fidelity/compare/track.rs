@@ -1,11 +1,14 @@
 //! The poses of one hand over time, and what they are at an instant.
 
 use super::{CompareOptions, Extent, SAME_TIME, alike};
+use handcast_codec::{Gap, gaps};
 use handcast_hand::{HandPose, PoseClip, Side, TimedPose};
 
 /// One hand of a motion, with times from the motion's first frame.
 pub(super) struct Track<'a> {
     pub(super) poses: Vec<&'a TimedPose>,
+    /// Where poses are missing; none in keyed motions.
+    gaps: Vec<Gap>,
     start: f64,
     /// Half an interval; as good as nothing for keyed motions.
     slack: f64,
@@ -54,6 +57,7 @@ impl<'a> Track<'a> {
         let slack = extent.rate.map_or(1e-3, |rate| 0.5 / rate + 1e-6);
         Self {
             poses: clip.of(side).collect(),
+            gaps: if extent.rate.is_some() { gaps(clip, side) } else { Vec::new() },
             start: extent.start,
             slack,
             keyed: extent.rate.is_none(),
@@ -156,11 +160,25 @@ impl<'a> Track<'a> {
         edges.clone().any(|edge| like(&edge.pose)) || own.chain(between).any(|edge| like(&edge))
     }
 
+    /// The frames in a gap of a motion that begins at `start` in which this one has a pose, other than that before the gap.
+    fn moving_in(&self, gap: &Gap, start: f64) -> usize {
+        let at = |time: f64| match self.at(time - start) {
+            Found::Pose(pose) => Some(pose),
+            _ => None,
+        };
+        let before = at(gap.from).filter(|_| gap.to - gap.from <= LONGEST_GAP);
+        let moves =
+            |k: &usize| at(gap.from + *k as f64 * gap.step()).is_some_and(|pose| Some(pose) != before);
+        (1..=gap.frames).filter(moves).count()
+    }
+
     /// Valid frames for which `other` has no valid one. One in a gap of it that holds the pose before it, as decoders do where
-    /// frames were skipped, tells nothing that could be missing, nor does one that bridges where the hand is lost.
+    /// frames were skipped, tells nothing that could be missing, nor does one that bridges where the hand is lost. A keyed
+    /// motion has the frames that are missing in the gaps of the other.
     pub(super) fn without(&self, other: &Track, options: &CompareOptions) -> Missing {
         let mut missing = Missing::default();
         if self.keyed {
+            missing.frames = other.gaps.iter().map(|gap| self.moving_in(gap, other.start)).sum();
             return missing;
         }
         let in_gap = |time: f64| {
