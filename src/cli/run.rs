@@ -42,9 +42,9 @@ pub struct Args {
     /// MP4/MOV, AVI, animated GIF/PNG/WebP, Y4M (- for standard input), a folder, "glob" or %03d pattern of pictures
     clip: PathBuf,
     #[command(flatten)]
-    part: PartArgs,
-    #[command(flatten)]
     work: Work,
+    #[command(flatten)]
+    part: PartArgs,
 }
 
 /// Does what run does, with the clip built into the program, whose true poses are known

@@ -7,6 +7,7 @@ use super::overlay;
 use super::part::PartArgs;
 use super::poses_out::{Journal, Lines, OutArgs};
 use super::resume::Resumed;
+use super::summary::Summary;
 use super::tracking::{Poses, TrackArgs};
 use super::usage::positive;
 
@@ -105,12 +106,18 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     if let Some(overlay) = tracked.overlay {
         overlay.file.commit()?;
     }
+    tell(args, &summary, drawn.as_deref())
+}
+
+/// Reports what was tracked.
+fn tell(args: &Args, summary: &Summary, drawn: Option<&str>) -> anyhow::Result<()> {
+    let piped = args.output.as_os_str() == "-";
     // Poses on standard output leave no room for words.
     let words = !piped && !args.track.quiet;
     if args.track.json && piped {
-        errln!("{}", serde_json::to_string_pretty(&summary)?);
+        errln!("{}", serde_json::to_string_pretty(summary)?);
     } else if args.track.json {
-        outln!("{}", serde_json::to_string_pretty(&summary)?);
+        outln!("{}", serde_json::to_string_pretty(summary)?);
     } else if words {
         out!("{}{}", summary.text(args.track.smooths()), summary.speed(""));
         outln!("  results     {}", args.output.display());

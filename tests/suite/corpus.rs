@@ -199,7 +199,8 @@ fn a_broken_clip_is_a_line_and_the_others_are_done() {
     let (input, out) = (dir.path().join("in"), dir.path().join("out"));
     inputs(&input, 2);
     let clip = fs::read(input.join("a/clip-01.avi")).unwrap();
-    fs::write(input.join("a/clip-01.avi"), &clip[..clip.len() / 3]).unwrap();
+    // No picture is whole.
+    fs::write(input.join("a/clip-01.avi"), &clip[..1500]).unwrap();
     fs::write(input.join("words.mp4"), "this is no video").unwrap();
     fs::write(input.join(ODD), "these are words\n").unwrap();
     let said = done(&["corpus", path(&input), "-o", path(&out)]);

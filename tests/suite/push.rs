@@ -211,7 +211,7 @@ fn a_hand_found_late_is_followed_back_to_where_it_came() {
     // A dark fist for longer than pictures are remembered, which opens at the end; the thing is orange.
     let shown = (0..130).map(|i| 45 + i % 10).chain(50..100);
     let (thing, hand) = ([1.0, 0.6, 0.35], [0.4, 0.4, 0.45]);
-    let scene = Scene { wall: [150, 125, 100], grain: 2, thing, hand };
+    let scene = Scene { wall: [150, 125, 100], grain: 5, thing, hand };
     fs::write(&clip, y4m(&coming(&scene, ALONE, ScriptedMotion::Fist, shown))).unwrap();
     let poses = tracked(&clip, None, &ClipOptions::default()).poses();
     let first = poses.iter().position(|p| p.valid).unwrap();

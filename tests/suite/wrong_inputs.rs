@@ -238,7 +238,7 @@ fn what_to_do_instead_is_told() {
         ("decode cut.fba -o x.glb", conceal),
         ("view cut.fba -o x.html", conceal),
         ("encode cut.fba -o x.fba", elsewhere),
-        ("compare cut.fba good.fba", elsewhere),
+        ("compare cut.fba good.fba", conceal),
         ("import none-seen.jsonl -o x.glb", "none-seen.jsonl: there is no pose of a hand in it"),
         ("import none-seen.jsonl -o x.csv", "none-seen.jsonl: there is no pose of a hand in it"),
         ("encode none-seen.jsonl -o x.fba", "none-seen.jsonl: there is no pose of a hand in it"),

@@ -514,11 +514,13 @@ impl FrameSource for Ending {
 }
 
 /// A source that took the place of another one.
+#[cfg(feature = "h264")]
 struct Instead {
     source: Box<dyn FrameSource>,
     why: String,
 }
 
+#[cfg(feature = "h264")]
 impl FrameSource for Instead {
     fn info(&self) -> &ClipInfo {
         self.source.info()
