@@ -381,9 +381,9 @@ fn apart(these: &[(f64, Vec<f64>)], those: &[TimedPose]) -> (f64, f64, usize) {
     ((squares / (29 * instants.max(1)) as f64).sqrt(), largest, instants)
 }
 
-/// Poses of the demonstration clip as the sender's tracker makes them, here. With `darker`, of pictures in which a pixel
-/// of the hand is one level darker in this colour.
-fn tracked_here(frames: &[Frame], darker: Option<usize>) -> Vec<TimedPose> {
+/// Poses of the demonstration clip as the sender's tracker makes them, here. With `darker`, of pictures in which one of two
+/// pixels of the hand is one level darker in a colour: which pixel, which colour.
+fn tracked_here(frames: &[Frame], darker: Option<(usize, usize)>) -> Vec<TimedPose> {
     let mut options = ClipOptions::default();
     (options.threads, options.learning_frames, options.max_lead_in) = (1, 30, 120);
     options.smooth = Some(handcast::hand::smooth::SmoothOptions::live());
@@ -392,8 +392,9 @@ fn tracked_here(frames: &[Frame], darker: Option<usize>) -> Vec<TimedPose> {
     for frame in frames {
         let mut frame = Frame { time: frame.index as f64 / 25.0, ..frame.clone() };
         let (width, height) = frame.image.dimensions();
-        if let Some(colour) = darker {
-            let level = &mut frame.image.get_pixel_mut(width / 2, height / 2).0[colour];
+        if let Some((place, colour)) = darker {
+            let y = [height / 2, height * 5 / 8][place];
+            let level = &mut frame.image.get_pixel_mut(width / 2, y).0[colour];
             *level = level.saturating_sub(1);
         }
         poses.extend(tracker.push(frame).unwrap());
@@ -401,9 +402,14 @@ fn tracked_here(frames: &[Frame], darker: Option<usize>) -> Vec<TimedPose> {
     poses
 }
 
+/// Time and angles of a pose.
+fn posed(pose: &TimedPose) -> (f64, Vec<f64>) {
+    (pose.time, pose.pose.angles.to_vec())
+}
+
 /// Tracking in WebAssembly gives what it gives here but for the last digits of sines. Where a finger cannot be seen the
-/// search magnifies these as it does the least change of a picture: there the tolerance is the most that three of these
-/// make. The planes decode to what was tracked, within a few times what they aim at.
+/// search magnifies these as it does the least change of a picture, of which six are made: until one of these shows it
+/// gives the same, and in all it is off as much as these are. The planes decode to what was tracked, within a few times what they aim at.
 #[test]
 #[ignore = "needs node"]
 fn pictures_become_planes_in_webassembly_as_here() {
@@ -421,23 +427,26 @@ fn pictures_become_planes_in_webassembly_as_here() {
     assert_eq!(sent["troubles"], json!([]));
 
     let poses = tracked_here(&frames, None);
-    let others = [0, 1, 2].map(|colour| tracked_here(&frames, Some(colour)));
+    let changes = [(0, 0), (0, 1), (0, 2), (1, 0), (1, 1), (1, 2)];
+    let others = changes.map(|change| tracked_here(&frames, Some(change)));
     let tracked = noted(&sent["tracked"]);
     assert_eq!([tracked.len(), poses.len()], [150; 2]);
-    assert_eq!(others.each_ref().map(Vec::len), [150; 3]);
+    assert_eq!(others.each_ref().map(Vec::len), [150; 6]);
+    let mut steady = true;
     let mut alike = 0;
     for (n, one) in tracked.iter().enumerate() {
         let (_, off, instants) = apart(std::slice::from_ref(one), &poses);
-        let changes = others.each_ref().map(|other| (other[n].time, other[n].pose.angles.to_vec()));
-        let unsure = changes.map(|change| apart(&[change], &poses).1).into_iter().fold(0.0, f64::max);
-        assert!(instants == 1 && off < 0.1 + 2.0 * unsure, "picture {n}: {off}°, unsure by {unsure}°");
+        let unsure = others.iter().map(|other| apart(&[posed(&other[n])], &poses).1).fold(0.0, f64::max);
+        steady &= unsure < 0.01;
+        assert!(instants == 1 && (!steady || off < 0.02), "picture {n}: {off}°");
         alike += usize::from(off < 0.02);
     }
-    println!(
-        "tracked: angles within 0.02° in {alike} of 150 pictures, {:.4?}° in all",
-        apart(&tracked, &poses)
-    );
-    assert!(alike >= 75, "{alike}");
+    let (off, most, _) = apart(&tracked, &poses);
+    let changes =
+        others.each_ref().map(|other| apart(&other.iter().map(posed).collect::<Vec<_>>(), &poses).0);
+    println!("tracked: angles within 0.02° in {alike} of 150 pictures, {off:.2}° RMS, {most:.2}° at most");
+    println!("with a pixel changed: {changes:.2?}° RMS");
+    assert!(off < 1.5 * changes.into_iter().fold(0.0, f64::max), "{off}°");
 
     let own: Vec<TimedPose> = tracked
         .iter()
