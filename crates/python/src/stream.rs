@@ -3,10 +3,10 @@
 use std::path::PathBuf;
 use std::sync::{Arc, LazyLock};
 
+use handcast::codec::encode_bridged;
 use handcast::codec::mapping::Profile;
 use handcast::formats::motion::{Format, Motion, WriteOptions, at_even_times, even_rate};
 use handcast::gltf::{ExportOptions, Skins};
-use handcast::codec::encode_bridged;
 use handcast::hand::MAX_GAP;
 use handcast::{DecoderOptions, PlanOptions, decode_poses};
 use handcast_limits::Limits;
@@ -63,7 +63,8 @@ pub fn encode<'py>(
         }
         None => {
             let said = notices::of_clip(&poses, max_gap);
-            let made = encode_bridged(&poses, Profile::Hand, &plan, max_gap).map_err(|error| wrong(&error))?;
+            let made =
+                encode_bridged(&poses, Profile::Hand, &plan, max_gap).map_err(|error| wrong(&error))?;
             Ok((made.stream, made.report, made.tips, said))
         }
     })?;
