@@ -246,7 +246,9 @@ fn input_hint(error: &anyhow::Error, message: &str, matches: &ArgMatches) -> Str
     }
     let clip = ["input", "a", "b"].into_iter().any(|id| {
         let path = of_sub.try_get_one::<PathBuf>(id).ok().flatten();
-        path.is_some_and(|path| message.contains(&path.display().to_string()) && files::is_clip(path))
+        path.is_some_and(|path| {
+            message.contains(&path.display().to_string()) && handcast_media::is_clip(path)
+        })
     });
     if clip {
         "; of clips and folders of pictures `handcast track` makes poses".to_owned()

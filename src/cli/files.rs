@@ -1,7 +1,7 @@
 //! Files that a command line names: what it reads is not to be overwritten by what it writes.
 
 use std::fs::{File, OpenOptions};
-use std::io::{self, Read as _};
+use std::io;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail, ensure};
@@ -57,23 +57,6 @@ pub fn keep_inputs(matches: &ArgMatches) -> anyhow::Result<()> {
         ensure!(!written[..i].iter().any(|o| same(&o)), "{}: two outputs of one name", output.display());
     }
     Ok(())
-}
-
-/// Whether a file holds pictures by what it begins with, or may be a folder of them.
-pub fn is_clip(path: &Path) -> bool {
-    if path.is_dir() {
-        return true;
-    }
-    let mut head = Vec::new();
-    let read = File::open(path).map(|file| file.take(16).read_to_end(&mut head));
-    if !path.is_file() || !matches!(read, Ok(Ok(_))) {
-        return false;
-    }
-    let begins: [&[u8]; 7] =
-        [b"\x89PNG", b"\xff\xd8\xff", b"GIF8", b"YUV4MPEG2", b"\x1a\x45\xdf\xa3", b"BM", b"\0\0\x01\xba"];
-    begins.iter().any(|begin| head.starts_with(begin))
-        || head.get(4..8) == Some(b"ftyp")
-        || head.starts_with(b"RIFF") && [Some(&b"AVI "[..]), Some(b"WEBP")].contains(&head.get(8..12))
 }
 
 /// Arguments that name folders, and a file that is made in them.

@@ -313,7 +313,7 @@ impl TrackArgs {
                 end.further
             );
         }
-        if let (Some(dir), Some(masks), true) = (&self.mask, of_masks, part == Part::WHOLE)
+        if let (Some(dir), Some(masks), true) = (&self.mask, of_masks, part.is_whole())
             && masks > sink.read
         {
             let (dir, name, unused) = (dir.display(), path.display(), masks - sink.read);
@@ -457,9 +457,8 @@ impl TrackArgs {
         let settings = Settings { track, ..Settings::default() }.digest();
         let frames = clip.frames.map_or_else(String::new, |frames| format!(", {frames} frames"));
         let rate = clip.rate.map_or_else(String::new, |rate| format!(", {rate:.3} frames/s"));
-        let whole = (part.from, part.until) == (Part::WHOLE.from, Part::WHOLE.until);
         let until = if part.until.is_finite() { format!(" until {} s", part.until) } else { String::new() };
-        let part = if whole { String::new() } else { format!(", from {} s{until}", part.from) };
+        let part = if part.is_whole() { String::new() } else { format!(", from {} s{until}", part.from) };
         // What is at an address, or a folder, has no size.
         let bytes = std::fs::metadata(path).ok().filter(Metadata::is_file);
         let bytes = bytes.map_or_else(String::new, |file| format!(", {} bytes", file.len()));

@@ -7,7 +7,7 @@ use std::process::{Command, Output};
 use std::sync::OnceLock;
 
 use handcast_media::film::{FilmWriter, TICKS};
-use handcast_media::{FrameSource, OpenOptions, open};
+use handcast_media::{FrameSource, OpenOptions, Part, open};
 use image::RgbImage;
 
 use crate::common::command::{program, text};
@@ -137,6 +137,22 @@ fn clips_that_are_cut_are_tracked_to_their_end_and_say_so() {
         assert!(out.status.code() == Some(1) && times.is_empty(), "{clip}: {said}");
         assert!(said.contains(clip) && said.lines().count() == 1, "{said}");
     }
+}
+
+/// As with `--mask`, whose pictures go by numbers.
+#[test]
+fn a_clip_whose_pictures_need_their_numbers_tells_as_much() {
+    let folder = tempfile::tempdir().unwrap();
+    let clip = folder.path().join("cut.mp4");
+    let (bytes, first) = mp4();
+    fs::write(&clip, &bytes[..first + (bytes.len() - first) / 2]).unwrap();
+    let [plain, numbered] = [Part::WHOLE, Part { numbered: true, ..Part::WHOLE }].map(|part| {
+        let mut source = open(&clip, &OpenOptions::default().with_part(part)).unwrap();
+        while source.next_frame().unwrap().is_some() {}
+        (source.info().told, source.shortfall())
+    });
+    assert!(plain.0 == Some(COUNT) && plain.1.is_some(), "{plain:?}");
+    assert_eq!(numbered, plain);
 }
 
 #[test]

@@ -21,9 +21,14 @@ pub(super) fn open(
     codec: &str,
     options: &OpenOptions,
 ) -> Result<Box<dyn FrameSource>, FrameError> {
-    let mut input = OsString::from("file:");
-    input.push(path);
-    open_input(&["-i".as_ref(), input.as_os_str()], name, codec, FIELDS, options)
+    open_input(&["-i".into(), named(path)], name, codec, FIELDS, options)
+}
+
+/// A file as the program takes it for none but a file, whatever its name looks like.
+fn named(path: &Path) -> OsString {
+    let mut name = OsString::from("file:");
+    name.push(path);
+    name
 }
 
 /// The containers that are looked for in what begins like nothing that is known: those whose files name no other file.
@@ -37,9 +42,7 @@ pub(super) fn open_unknown(
     name: &str,
     options: &OpenOptions,
 ) -> Result<Box<dyn FrameSource>, FrameError> {
-    let mut input = OsString::from("file:");
-    input.push(path);
-    let input = ["-format_whitelist".as_ref(), SELF_CONTAINED.as_ref(), "-i".as_ref(), input.as_os_str()];
+    let input = ["-format_whitelist".into(), SELF_CONTAINED.into(), "-i".into(), named(path)];
     open_input(&input, name, "unknown container", FIELDS, options)
 }
 

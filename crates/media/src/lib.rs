@@ -189,6 +189,11 @@ impl Part {
     /// All of it.
     pub const WHOLE: Self = Self { from: 0.0, until: f64::INFINITY, numbered: false };
 
+    /// Whether it is all of the clip.
+    pub fn is_whole(&self) -> bool {
+        self.from <= 0.0 && self.until == f64::INFINITY
+    }
+
     /// The numbers of those of `times`, in rising order, that lie in it.
     fn of(&self, times: &[f64]) -> std::ops::Range<usize> {
         let at = |end: f64| times.partition_point(|time| *time < end - ROUNDED);
@@ -383,7 +388,7 @@ pub fn open(input: impl AsRef<Path>, options: &OpenOptions) -> Result<Box<dyn Fr
     let passes = !matches!(Address::of(input), Ok(Some(Address::Stream)));
     let mut info = source.info().clone();
     let part = options.part;
-    if part != Part::WHOLE {
+    if !part.is_whole() {
         if let Some(times) = source.times() {
             let shown = part.of(&times);
             if shown.is_empty() {
@@ -442,7 +447,7 @@ impl Ending {
         loop {
             let Some(frame) = self.source.next_frame()? else {
                 return match self.shown {
-                    0 if self.part != Part::WHOLE => Err(no_such_part(&self.name, self.part, self.last)),
+                    0 if !self.part.is_whole() => Err(no_such_part(&self.name, self.part, self.last)),
                     _ => Ok(None),
                 };
             };
@@ -585,17 +590,8 @@ fn open_by_content(path: &Path, options: &OpenOptions) -> Result<Box<dyn FrameSo
         // A FIFO or a device can be read only once and only forwards: the pipe format is the only choice.
         return Ok(Box::new(y4m::Y4mSource::open(Box::new(file), &name, options, None)?));
     }
-    let mut head = [0u8; 512];
-    let mut length = 0;
-    while length < head.len() {
-        match file.read(&mut head[length..]) {
-            Ok(0) => break,
-            Ok(n) => length += n,
-            Err(source) => return Err(FrameError::Io { path: name, source }),
-        }
-    }
-    let head = &head[..length];
-    match sniff(head) {
+    let head = head_of(&mut file).map_err(|source| FrameError::Io { path: name.clone(), source })?;
+    match sniff(&head) {
         Content::Empty => Err(FrameError::Empty { path: name, what: "the file is empty" }),
         Content::Y4m => {
             let file = File::open(path).map_err(|source| FrameError::Io { path: name.clone(), source })?;
@@ -683,6 +679,20 @@ fn check_size(path: &str, width: u64, height: u64, limits: &Limits) -> Result<(u
 
 fn wrong_size(path: &str, width: u64, height: u64, limits: &Limits) -> FrameError {
     FrameError::Size { path: path.to_owned(), width, height, side: limits.side, pixels: limits.pixels }
+}
+
+/// Whether a file holds pictures by what it begins with, or may be a folder of them.
+pub fn is_clip(path: &Path) -> bool {
+    let holds = |content| !matches!(content, Content::Empty | Content::Text | Content::Unknown);
+    let head = || head_of(&mut File::open(path)?);
+    path.is_dir() || path.is_file() && head().is_ok_and(|head| holds(sniff(&head)))
+}
+
+/// What a file begins with, as far as it tells what it is.
+fn head_of(file: &mut File) -> io::Result<Vec<u8>> {
+    let mut head = Vec::new();
+    file.take(512).read_to_end(&mut head)?;
+    Ok(head)
 }
 
 enum Content {
