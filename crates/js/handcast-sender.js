@@ -1,12 +1,13 @@
 // A camera's pictures to the planes of a live stream, in WebAssembly. See handcast.d.ts for types and README.md for use.
 
 import {
-  HandcastError, bytesOf, check, choice, copy, flag, framesAt, give, instantiate, locate, named, sideNumber, sizesAt,
+  HandcastError, bytesOf, check, choice, copy, flag, framesAt, give, instantiate, locate, named, optionsOf, sideNumber, sizesAt,
 } from "./handcast.js";
 
 const FAILED = 0xffffffff;
 // The least and the most of options that are numbers.
 const RANGES = { rate: [1 / 16, 255], rms: [0.01, 180], handLength: [0.05, 0.4], fieldOfView: [5, 150], analysisSide: [64, 4096] };
+const OPTIONS = ["side", "view", "mirror", "anyStart", ...Object.keys(RANGES)];
 
 /** An option that is a number; 0 is the default. */
 function ranged(options, name) {
@@ -26,7 +27,8 @@ export async function loadSender(source = new URL("handcast_sender.wasm", import
   class Sender {
     #number;
 
-    constructor(options = {}) {
+    constructor(given) {
+      const options = optionsOf(given, OPTIONS, "a sender");
       const { side, view, mirror = false, anyStart = false } = options;
       const [rate, rms, handLength, fieldOfView, analysisSide] = Object.keys(RANGES).map(name => ranged(options, name));
       const sees = (side == null ? 0 : 1 + sideNumber(side)) | (view == null ? 0 : 4 << choice(view, ["palm", "back"], "view"));
@@ -42,6 +44,11 @@ export async function loadSender(source = new URL("handcast_sender.wasm", import
 
     push(rgba, width, height, captureTime) {
       const own = this.#own;
+      for (const [side, what] of [[width, "width"], [height, "height"]]) {
+        if (!(Number.isInteger(side) && side > 0 && side <= 0xffff)) {
+          throw new HandcastError(`${what} is ${named(side)}, allowed are 1 to 65535`);
+        }
+      }
       give(wasm, bytesOf(rgba, "pixels"));
       return this.#sent(wasm.sender_push(own, width, height, captureTime));
     }
@@ -110,6 +117,9 @@ export class SenderWorker {
   #answer;
 
   constructor(options = {}, { onsent, onerror, wasm, worker } = {}) {
+    if (!worker && typeof Worker === "undefined") {
+      throw new HandcastError("there are no web workers here: loadSender() works on the thread that calls");
+    }
     this.#worker = worker ?? new Worker(new URL("sender-worker.js", import.meta.url), { type: "module" });
     this.ready = new Promise((resolve, reject) => {
       const fail = (error, of) => {

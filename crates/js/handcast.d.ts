@@ -1,7 +1,7 @@
 /** Which hand of the person. */
 export type Side = "left" | "right";
 
-/** A hand at an instant. */
+/** A hand at an instant; its arrays have memory of their own. */
 export interface Hand {
   side: Side;
   /** The pose is held or guessed: data were lost, or the sender saw no hand. */
@@ -134,7 +134,7 @@ export interface Handcast {
   Decoder: new (options?: DecoderOptions) => Decoder;
   /** The mean hand's sizes at a length of 0.05 to 0.4 m; 0.189 without one. */
   averageSizes(handLength?: number): Sizes;
-  /** Red, green and blue (sRGB, 0 to 255) of skin of a tone of 1 (lightest) to 10 (darkest); `null` for others. */
+  /** Red, green and blue (sRGB, 0 to 255) of skin of a tone of 1 (lightest) to 10 (darkest); `null` for `null`. */
   skinColour(tone: number | null): [number, number, number] | null;
   applyToXRHand: typeof applyToXRHand;
   skinningRows: typeof skinningRows;

@@ -52,6 +52,16 @@ export const sideNumber = side => choice(side, SIDES, "side");
 /** An option that is on or off, as a number. */
 export const flag = (given, what) => choice(given, [false, true], what);
 
+/** Options by name: an object, and no names but these. */
+export function optionsOf(given, names, what) {
+  if (given === undefined) return {};
+  const isObject = typeof given === "object" && given !== null && !Array.isArray(given);
+  const other = isObject ? Object.keys(given).find(name => !names.includes(name)) : undefined;
+  if (isObject && other === undefined) return given;
+  const has = isObject ? `have ${named(other)}` : `are ${named(given)}`;
+  throw new HandcastError(`options of ${what} ${has}, allowed is an object with ${names.join(", ")}`);
+}
+
 /** The bytes of a buffer, or those that a view shows of one. */
 export function bytesOf(given, what) {
   const kind = Object.prototype.toString.call(given);
@@ -77,38 +87,58 @@ function numbersOf(given, length, what) {
   return numbers;
 }
 
+// Modules of Node's own, which bundlers for browsers leave alone.
+const ofNode = name => import(/* webpackIgnore: true */ /* @vite-ignore */ `node:${name}`);
+
 /** An address as the page, the worker or, in Node, the working folder has it. */
 export async function locate(address) {
   let base = globalThis.document?.baseURI ?? globalThis.location?.href;
   if (!base && globalThis.process?.versions?.node) {
-    const { pathToFileURL } = await import(/* @vite-ignore */ "node:url");
+    const { pathToFileURL } = await ofNode("url");
     base = pathToFileURL(`${process.cwd()}/`);
   }
-  return new URL(address, base);
+  try {
+    return new URL(address, base);
+  } catch {
+    throw new HandcastError(`${named(address)} is no address`);
+  }
+}
+
+/** What lies at an address. */
+async function fetched(address) {
+  const url = await locate(address);
+  try {
+    if (url.protocol !== "file:" || !globalThis.process?.versions?.node) return await fetch(url);
+    const { readFile } = await ofNode("fs/promises");
+    return await readFile(url);
+  } catch (error) {
+    throw new HandcastError(`${url}: ${error.message}`);
+  }
+}
+
+const isResponse = given => typeof Response !== "undefined" && given instanceof Response;
+
+/** The bytes of a response, as they are compiled. */
+async function responded(response, wanted) {
+  if (!response.ok) throw new HandcastError(`${response.url}: ${response.status} ${response.statusText}`);
+  // Compiled while it comes, where the server says what it is.
+  if (WebAssembly.compileStreaming && response.headers.get("Content-Type") === "application/wasm") return response;
+  const bytes = new Uint8Array(await response.arrayBuffer());
+  if (bytes[0] !== 0x3c) return bytes;
+  // What bundlers do to addresses is in README.md.
+  throw new HandcastError(`${wanted}, and ${response.url || "what the server sent"} is a page, not a module`);
 }
 
 /** One of the modules of WebAssembly, from its bytes, its address, a response or a compiled module. */
 export async function instantiate(source, name) {
-  let given = await source;
-  if (typeof given === "string" || given instanceof URL) {
-    const url = await locate(given);
-    if (url.protocol === "file:" && globalThis.process?.versions?.node) {
-      const { readFile } = await import(/* @vite-ignore */ "node:fs/promises");
-      given = await readFile(url);
-    } else {
-      given = await fetch(url);
-    }
-  }
-  if (typeof Response !== "undefined" && given instanceof Response) {
-    if (!given.ok) throw new HandcastError(`${given.url}: ${given.status} ${given.statusText}`);
-    // Compiled while it comes, where the server says what it is.
-    const streams = WebAssembly.compileStreaming && given.headers.get("Content-Type") === "application/wasm";
-    if (!streams) given = await given.arrayBuffer();
-  }
   const wanted = `wanted is handcast_${name}.wasm`;
+  let given = await source;
+  if (typeof given === "string" || given instanceof URL) given = await fetched(given);
+  if (isResponse(given)) given = await responded(given, wanted);
   if (!(given instanceof WebAssembly.Module)) {
-    const streams = typeof Response !== "undefined" && given instanceof Response;
-    const compiled = streams ? WebAssembly.compileStreaming(given) : WebAssembly.compile(bytesOf(given, `${wanted}; its bytes`));
+    const compiled = isResponse(given)
+      ? WebAssembly.compileStreaming(given)
+      : WebAssembly.compile(bytesOf(given, `${wanted}; its bytes`));
     given = await compiled.catch(error => {
       throw new HandcastError(`${wanted}, and this is no module: ${error.message}`);
     });
@@ -146,6 +176,13 @@ export function sizesAt(wasm, address, version) {
   return { numbers, handLength: numbers[0], radii: copy(wasm, Float32Array, wasm.sizes_radii(), 25), version };
 }
 
+/** What a row has of a pose, in memory of its own: each can be kept or moved to a worker alone. */
+const partsOf = row => ({
+  angles: row.slice(ANGLES, WRIST),
+  wrist: row.slice(WRIST, JOINTS),
+  joints: row.slice(JOINTS, ROW),
+});
+
 /** Poses in a module's memory as instants: times, and the hands of each. */
 export function framesAt(wasm, atTimes, atRows, count, frames) {
   const times = copy(wasm, Float64Array, atTimes, count);
@@ -157,9 +194,7 @@ export function framesAt(wasm, atTimes, atRows, count, frames) {
       side,
       lost: row[1] !== 0,
       confidence: row[2] < 0 ? null : row[2],
-      angles: row.subarray(ANGLES, WRIST),
-      wrist: row.subarray(WRIST, JOINTS),
-      joints: row.subarray(JOINTS),
+      ...partsOf(row),
     };
     const last = frames.at(-1);
     if (last?.time === times[i] && last.hands.every(other => other.side !== side)) last.hands.push(hand);
@@ -177,7 +212,9 @@ export async function load(source = new URL("handcast_decoder.wasm", import.meta
     #number;
     #waiting = [];
 
-    constructor({ strict = false, vendorSteps = false, sentOnly = false } = {}) {
+    constructor(options) {
+      const names = ["strict", "vendorSteps", "sentOnly"];
+      const { strict = false, vendorSteps = false, sentOnly = false } = optionsOf(options, names, "a decoder");
       const flags = flag(strict, "strict") | (flag(vendorSteps, "vendorSteps") << 1) | (flag(sentOnly, "sentOnly") << 2);
       this.#number = wasm.decoder_new(flags);
       forgotten.register(this, this.#number, this);
@@ -258,7 +295,7 @@ export async function load(source = new URL("handcast_decoder.wasm", import.meta
       const parts = [[angles, 29, "angles"], [translation, 3, "translation"], [rotation, 4, "rotation"]];
       giveNumbers(wasm, parts.flatMap(part => numbersOf(...part)));
       const row = copy(wasm, Float32Array, wasm.decoder_pose(own, number), ROW);
-      return { side, lost: false, confidence: null, angles: row.subarray(ANGLES, WRIST), wrist: row.subarray(WRIST, JOINTS), joints: row.subarray(JOINTS) };
+      return { side, lost: false, confidence: null, ...partsOf(row) };
     }
 
     free() {
@@ -275,8 +312,12 @@ export async function load(source = new URL("handcast_decoder.wasm", import.meta
     return sizesAt(wasm, wasm.sizes_average(handLength), 0);
   };
   const skinColour = tone => {
-    const colour = wasm.decoder_skin(tone ?? 0) >>> 0;
-    return colour === FAILED ? null : [colour >> 16, (colour >> 8) & 255, colour & 255];
+    if (tone === null || tone === undefined) return null;
+    if (!(Number.isInteger(tone) && tone >= 1 && tone <= 10)) {
+      throw new HandcastError(`tone is ${named(tone)}, allowed are 1 to 10, and null`);
+    }
+    const colour = wasm.decoder_skin(tone);
+    return [colour >> 16, (colour >> 8) & 255, colour & 255];
   };
   return { Decoder, averageSizes, skinColour, applyToXRHand, skinningRows, webxrMatrix, JOINT_NAMES, ANGLE_NAMES, PARENTS, wasm };
 }
@@ -284,7 +325,8 @@ export async function load(source = new URL("handcast_decoder.wasm", import.meta
 /** A function that makes the skin of a hand: a second module, which only those need who draw. */
 export async function loadSurface(source = new URL("handcast_surface.wasm", import.meta.url)) {
   const wasm = await instantiate(source, "surface");
-  return function surface(side, sizes, { fine = true } = {}) {
+  return function surface(side, sizes, options) {
+    const { fine = true } = optionsOf(options, ["fine"], "a surface");
     const number = sideNumber(side);
     giveSizes(wasm, sizes);
     const count = wasm.surface(number, flag(fine, "fine"));
@@ -342,6 +384,10 @@ export function webxrMatrix(joints, joint, out = new Float32Array(16)) {
  * with `joints` by name), or a function that is told each joint.
  */
 export function applyToXRHand(target, hand, { radii, createJoint } = {}) {
+  if (hand?.joints?.length !== 400) throw new HandcastError(`the pose is ${named(hand)}, allowed are hands with 400 numbers of joints`);
+  if (typeof target !== "function" && !target?.joints) {
+    throw new HandcastError(`the hand to pose is ${named(target)}, allowed are objects with joints by name, and functions`);
+  }
   const matrix = new Float32Array(16);
   JOINT_NAMES.forEach((name, i) => {
     webxrMatrix(hand.joints, i, matrix);

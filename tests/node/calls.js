@@ -4,8 +4,8 @@ import assert from "node:assert/strict";
 import { copyFileSync, mkdtempSync, readFileSync } from "node:fs";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
-import { HandcastError, load, loadSurface } from "../../crates/js/handcast.js";
-import { loadSender } from "../../crates/js/handcast-sender.js";
+import { HandcastError, applyToXRHand, load, loadSurface } from "../../crates/js/handcast.js";
+import { SenderWorker, loadSender } from "../../crates/js/handcast-sender.js";
 
 const file = name => new URL(`../../crates/js/handcast_${name}.wasm`, import.meta.url);
 const bytes = Uint8Array.from(readFileSync(process.argv[2]));
@@ -13,7 +13,7 @@ const isError = words => error => error instanceof HandcastError && (assert.matc
 const refused = (call, words) => assert.throws(call, isError(words));
 const fails = (promise, words) => assert.rejects(promise, isError(words));
 
-const { Decoder, averageSizes } = await load();
+const { Decoder, averageSizes, skinColour } = await load();
 const surface = await loadSurface();
 const { Sender } = await loadSender();
 
@@ -24,6 +24,9 @@ await fails(loadSender(readFileSync(file("decoder"))), /wanted is handcast_sende
 await fails(load(Uint8Array.of(0, 97, 115, 109, 1, 0, 0, 0)), /none of handcast's modules/);
 await fails(load(Uint8Array.of(1, 2, 3)), /no module/);
 await fails(load(5), /handcast_decoder\.wasm; its bytes are 5, allowed/);
+await fails(load(new Response("<!doctype html>")), /what the server sent is a page, not a module/);
+await fails(load("none.wasm"), /^file:.*none\.wasm: ENOENT/);
+await fails(load("http://[::1"), /is no address/);
 // A relative address is the working folder's.
 const folder = mkdtempSync(join(tmpdir(), "handcast-"));
 copyFileSync(file("decoder"), join(folder, "own.wasm"));
@@ -61,6 +64,18 @@ for (const method of ["push", "pushPlane"]) {
 }
 
 // Options, poses and sizes.
+for (const given of [null, "strict", [], 5]) refused(() => new Decoder(given), /options of a decoder are .*, allowed is an object with strict, /);
+refused(() => new Decoder({ stric: true }), /options of a decoder have "stric", allowed/);
+refused(() => surface("left", averageSizes(), { Fine: true }), /options of a surface have "Fine"/);
+assert.deepEqual([skinColour(null), skinColour(undefined), skinColour(1).length], [null, null, 3]);
+for (const tone of [0, 11, 2.5, "a"]) refused(() => skinColour(tone), /tone is .*, allowed are 1 to 10/);
+// Each array can be given away without the others.
+const [first, second] = new Decoder().push(bytes);
+structuredClone(first.hands[0].joints, { transfer: [first.hands[0].joints.buffer] });
+assert.deepEqual([first.hands[0].angles.length, first.hands[0].wrist.length, second.hands[0].joints.length], [29, 16, 400]);
+assert.equal(second.hands[0].joints.buffer.byteLength, 1600);
+refused(() => applyToXRHand({ joints: {} }, {}), /the pose is Object, allowed/);
+refused(() => applyToXRHand({}, second.hands[0]), /the hand to pose is Object, allowed/);
 refused(() => new Decoder({ strict: "yes" }), /strict is "yes", allowed are false and true/);
 refused(() => decoder.sizes("up"), /side is "up", allowed are "left" and "right"/);
 const angles = new Array(29).fill(0.1);
@@ -83,12 +98,13 @@ for (const [options, words] of [
   [{ side: "up" }, /side is "up", allowed are "left" and "right"/], [{ view: "x" }, /view is "x", allowed are "palm" and "back"/],
   [{ rate: -1 }, /rate is -1, allowed are 0\.0625 to 255, and 0 for the default/], [{ rate: "30" }, /rate is "30"/], [{ rms: NaN }, /rms is NaN/],
   [{ handLength: 19 }, /handLength is 19, allowed are 0\.05 to 0\.4/], [{ fieldOfView: 200 }, /5 to 150/], [{ analysisSide: 8 }, /64 to 4096/],
-  [{ mirror: 1 }, /mirror is 1, allowed are false and true/],
+  [{ mirror: 1 }, /mirror is 1, allowed are false and true/], [null, /options of a sender are null/], [{ fps: 30 }, /options of a sender have "fps"/],
 ]) refused(() => new Sender(options), words);
 const sender = new Sender({ rate: 25, rms: 0, side: "right", view: "back", mirror: true, anyStart: false, handLength: 0, fieldOfView: 60, analysisSide: 320 });
 const grey = new Uint8ClampedArray(96 * 64 * 4).fill(90);
 assert.deepEqual(sender.push(grey, 96, 64, 1000).planes, []);
 refused(() => sender.push({ data: grey }, 96, 64, 1040), /pixels are Object/);
+for (const width of [0, -1, 1.5, "96", undefined]) refused(() => sender.push(grey, width, 64, 1040), /width is .*, allowed are 1 to 65535/);
 refused(() => sender.push(grey, 96, 63, 1040), /96 × 63 pixels has 24576 bytes/);
 
 // What has been freed.
@@ -106,8 +122,10 @@ for (const [freed, words, calls] of [
   for (const call of calls) refused(() => call(freed), words);
 }
 
+// Node has no workers of the web.
+refused(() => new SenderWorker(), /no web workers here/);
+
 // A worker's answers, by one that is told what to answer.
-const { SenderWorker } = await import("../../crates/js/handcast-sender.js");
 function played() {
   const heard = [];
   const worker = { terminated: false, postMessage: message => heard.push(message.kind), terminate: () => { worker.terminated = true; } };

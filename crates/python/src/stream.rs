@@ -31,7 +31,7 @@ use crate::{Error, notices, wrong, wrong_file};
 /// are resampled, that begin late, and of aims that were missed. Raises Error for what cannot be coded. Ctrl-C ends the wait.
 #[pyfunction]
 #[pyo3(signature = (clip, *, target_rms=None, max_error=None, max_error_mm=None, bitrate=None, quant=None, intra=5.0,
-    resync=false, live=false, sizes=true, max_gap=MAX_GAP))]
+    resync=false, live=false, sizes=true, max_gap=0.25))]
 #[expect(clippy::too_many_arguments, reason = "keywords")]
 pub fn encode<'py>(
     py: Python<'py>,

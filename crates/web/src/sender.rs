@@ -211,10 +211,11 @@ fn trouble(error: &ClipError) -> String {
 
 fn picture(rgba: &[u8], width: u32, height: u32) -> Result<RgbImage, String> {
     let (wanted, given) = (u128::from(width) * u128::from(height) * 4, rgba.len());
-    if wanted != given as u128 || wanted == 0 {
-        return Err(format!(
-            "a picture of {width} × {height} pixels has {given} bytes, must have {wanted}, not 0"
-        ));
+    if wanted == 0 {
+        return Err(format!("a picture of {width} × {height} pixels is none"));
+    }
+    if wanted != given as u128 {
+        return Err(format!("a picture of {width} × {height} pixels has {given} bytes, must have {wanted}"));
     }
     let rgb = rgba.as_chunks::<4>().0.iter().flat_map(|&[r, g, b, _]| [r, g, b]).collect();
     RgbImage::from_raw(width, height, rgb).ok_or_else(|| "a picture beyond memory".into())
@@ -232,6 +233,7 @@ mod tests {
         for (width, height, capture, words) in [
             (96, 63, 1040.0, "96 × 63 pixels has 24576 bytes"),
             (u32::MAX, u32::MAX, 1040.0, "must have"),
+            (0, 0, 1040.0, "0 × 0 pixels is none"),
             (96, 64, 1000.0, "captured at 1000 ms after one at 1000 ms"),
             (96, 64, f64::NAN, "captured at NaN"),
         ] {
