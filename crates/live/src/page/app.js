@@ -284,6 +284,9 @@ function tick(at) {
 }
 const redraw = () => { force = true; };
 
+// Without this the page says that it has not come whole.
+document.body.classList.add("whole");
+
 // Once a second: rates, and what there is to say.
 let before = null;
 const quantile = (list, share) => [...list].sort((a, b) => a - b)[Math.min(list.length - 1, Math.floor(share * list.length))];
@@ -352,6 +355,7 @@ element("title").textContent = `Room ${name}`;
 document.title = `${name} – handcast live`;
 element("reset").addEventListener("click", () => { orbit.reset(); box = null; redraw(); });
 const toggleFull = () => (document.fullscreenElement ? document.exitFullscreen() : element("stage").requestFullscreen?.());
+element("full").hidden = !document.fullscreenEnabled;
 element("full").addEventListener("click", toggleFull);
 document.addEventListener("fullscreenchange", () => {
   element("full").setAttribute("aria-pressed", Boolean(document.fullscreenElement));
@@ -404,8 +408,9 @@ if (wish.has("buffer")) {
 }
 // This browser's camera, once somebody has sent from it.
 let own = { on: false };
-if (!navigator.mediaDevices?.getUserMedia) {
-  element("send").disabled = true;
+if (navigator.mediaDevices?.getUserMedia) {
+  element("send").disabled = false;
+} else {
   write("send-now", isSecureContext ? "This browser gives no camera." : "A camera needs https: the room is to be opened with --tls.");
 }
 function showSending() {

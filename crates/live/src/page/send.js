@@ -5,6 +5,8 @@ import * as wire from "./wire.js";
 import { localTime } from "./room.js";
 
 const [WIDTH, HEIGHT, RATE] = [640, 360, 30];
+// Milliseconds that two clocks may go apart from picture to picture: some 300 millionths.
+const APART = 0.01;
 const GONE = "The camera is gone.";
 // Why there is no camera, by the name of the browser's error.
 const NO_CAMERA = {
@@ -24,6 +26,7 @@ export class OwnHands {
     this.pictures = 0;
     this.taken = [];
     this.sent = 0;
+    this.ahead = Infinity;
     this.trouble = "Spread your five fingers once.";
   }
 
@@ -51,23 +54,43 @@ export class OwnHands {
     }
     this.on = true;
     this.last = 0;
-    this.next();
+    this.watch(camera).catch(error => this.lost(error.message));
+  }
+
+  // Pictures as the camera gives them, also while the page is behind another; where a browser has that in workers alone, those
+  // that are shown.
+  async watch(camera) {
+    if (!globalThis.MediaStreamTrackProcessor) return this.next();
+    const pictures = new MediaStreamTrackProcessor({ track: camera, maxBufferSize: 1 }).readable.getReader();
+    while (this.on) {
+      const { done, value } = await pictures.read();
+      if (done) break;
+      this.take(value, this.clock(value.timestamp / 1000));
+    }
+    return pictures.cancel();
+  }
+
+  // What the page's clock said when the camera's said `time` (milliseconds): as much later as the quickest picture came,
+  // or by as much more as clocks go apart.
+  clock(time) {
+    this.ahead = Math.min(this.ahead + APART, performance.now() - time);
+    return time + this.ahead;
   }
 
   next() {
-    if (this.on) this.video.requestVideoFrameCallback((now, facts) => this.picture(facts.captureTime ?? now));
+    if (!this.on) return;
+    this.video.requestVideoFrameCallback(async (now, facts) => {
+      this.take(this.worker.busy ? null : await createImageBitmap(this.video), facts.captureTime ?? now);
+      this.next();
+    });
   }
 
-  async picture(time) {
+  take(picture, time) {
     this.pictures += 1;
-    if (!this.worker.busy) {
-      // The room's clock may be set back a little; pictures do not go back.
-      const captured = Math.max(this.last + 1, performance.timeOrigin + time + this.room.offset);
-      const bitmap = await createImageBitmap(this.video);
-      if (this.on && this.worker.push(bitmap, captured)) this.last = captured;
-      else bitmap.close();
-    }
-    this.next();
+    // The room's clock may be set back a little; pictures do not go back.
+    const captured = Math.max(this.last + 1, performance.timeOrigin + time + this.room.offset);
+    if (this.on && picture && this.worker.push(picture, captured)) this.last = captured;
+    else picture?.close();
   }
 
   pass(sent, { milliseconds }) {

@@ -56,7 +56,7 @@ tuning! {
         pub abduction: f64 = 0.07,
         /// Standard deviation of the thumb's abduction from that of the open hand.
         ["rad", "spec/registration.md 5, what the cupped palm and the thumb's prior gain"]
-        pub thumb_abduction: f64 = 0.15,
+        pub thumb_abduction: f64 = 0.3,
         /// MCP flexion per PIP flexion of a long finger.
         ["1", "spec/registration.md 5, Prior"]
         pub flexion_ratio: f64 = 0.8,

@@ -151,10 +151,11 @@ function paint() {
   orbit.update(width, height);
   bones.place(orbit.matrix, posed, width, height);
   bones.paint(width, height, dense);
-  if (!painter) return;
-  const size = [Math.round(width * dense), Math.round(height * dense)];
-  if (canvas.width !== size[0] || canvas.height !== size[1]) [canvas.width, canvas.height] = size;
-  painter.paint(orbit, posed);
+  if (painter) {
+    const size = [Math.round(width * dense), Math.round(height * dense)];
+    if (canvas.width !== size[0] || canvas.height !== size[1]) [canvas.width, canvas.height] = size;
+    painter.paint(orbit, posed);
+  }
   labels.forEach((label, i) => {
     const at = project(orbit.matrix, below(posed[i].frames, 0.6));
     label.hidden = !at;
@@ -402,8 +403,10 @@ function open(motion) {
       painter.show(hands);
     } catch (error) {
       say(error.message);
+      setSkeleton(true);
     }
   }
+  document.body.classList.toggle("blind", hands.length > 0 && !painter);
   labels = hands.map(hand => Object.assign(document.createElement("span"), { textContent: hand.side }));
   element("labels").replaceChildren(...labels);
   clip = clipOf(motion.video);
@@ -431,13 +434,17 @@ function open(motion) {
 
 // A dropped or chosen file; what is shown stays where it cannot be read.
 async function openFile(file) {
-  element("opening").textContent = `Reading ${file.name} …`;
+  const told = (text, wrong = false) => {
+    element("opening").textContent = text;
+    element("opening").classList.toggle("wrong", wrong);
+  };
+  told(`Reading ${file.name} …`);
   try {
     open(await fromFile(file));
-    element("opening").textContent = `${file.name} is shown.`;
+    told("");
     return true;
   } catch (error) {
-    element("opening").textContent = `${file.name}: ${error.message}`;
+    told(`${file.name}: ${error.message}`, true);
     return false;
   } finally {
     state.opened = (state.opened ?? 0) + 1;
@@ -469,7 +476,7 @@ async function begin() {
   if (FINGERS.some(([f]) => f === wish.get("finger"))) choose(wish.get("finger"));
   orbit.yaw = (Number(wish.get("yaw")) || 0) * (Math.PI / 180);
   orbit.pitch = (Number(wish.get("pitch")) || 0) * (Math.PI / 180);
-  setSkeleton(wish.has("skeleton"));
+  if (wish.has("skeleton")) setSkeleton(true);
   const speed = [...element("speed").options].findIndex(o => o.value === wish.get("speed"));
   if (speed >= 0) { element("speed").selectedIndex = speed; speedUp(0); }
   goTo(Number(wish.get("frame")) || 0);

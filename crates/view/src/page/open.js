@@ -110,6 +110,7 @@ async function fromPoses(title, text) {
 async function fromFile(file) {
   if (file.size > MOST_BYTES) throw new Error(`${file.size} bytes, at most ${MOST_BYTES} are read`);
   const content = new Uint8Array(await file.arrayBuffer());
+  if (!content.length) throw new Error("it is empty");
   const first = content.find(byte => ![32, 9, 10, 13].includes(byte));
   if (first === 0x7b) return fromPoses(file.name, new TextDecoder().decode(content));
   return fromStream(file.name, content);
