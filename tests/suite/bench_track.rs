@@ -1,11 +1,11 @@
 //! `handcast bench track` from the command line, and the numbers it must reach.
 
+use crate::common::command::program;
 use crate::common::shared;
-use assert_cmd::Command;
 use serde_json::Value;
 
 fn bench(args: &[&str]) -> std::process::Output {
-    Command::cargo_bin("handcast").unwrap().args(["bench", "track"]).args(args).output().unwrap()
+    std::process::Command::new(program()).args(["bench", "track"]).args(args).output().unwrap()
 }
 
 fn text(bytes: &[u8]) -> String {

@@ -91,8 +91,7 @@ fn results_of_another_clip_are_kept() {
     std::fs::create_dir(&folder).unwrap();
     std::fs::write(folder.join("report.json"), br#"{"clip": "a/clip.avi"}"#).unwrap();
     let run = |clip: &str| {
-        let program = assert_cmd::cargo::cargo_bin("handcast");
-        let run = std::process::Command::new(program).current_dir(dir.path()).args(["run", clip]).output();
+        let run = std::process::Command::new(program()).current_dir(dir.path()).args(["run", clip]).output();
         let run = run.unwrap();
         (run.status.code(), text(&run.stderr).to_owned())
     };

@@ -1,17 +1,23 @@
 //! The model as a user meets it: the command on hand shapes, spelling and imports, and the tables in spec.
 
 use std::path::Path;
+use std::process::{Command, Output};
 
-use assert_cmd::Command;
+use crate::common::command::{program, text};
 use handcast_formats::poses::read_poses;
 use handcast_hand::anthropometry::{Bounds, check};
 use handcast_hand::shapes::ShapeLibrary;
 use handcast_hand::{Domain, Joint, JointAngle, Morphology, Side, Skeleton, limits};
 
-fn handcast(args: &[&str], dir: &Path) -> Command {
-    let mut command = Command::cargo_bin("handcast").unwrap();
-    command.args(args).current_dir(dir);
-    command
+fn handcast(args: &[&str], dir: &Path) -> Output {
+    Command::new(program()).args(args).current_dir(dir).output().unwrap()
+}
+
+/// Runs it successfully.
+fn done(args: &[&str], dir: &Path) -> Output {
+    let out = handcast(args, dir);
+    assert!(out.status.success(), "{args:?}: {}", text(&out.stderr));
+    out
 }
 
 #[test]
@@ -81,7 +87,7 @@ fn the_mean_hand_is_a_hand() {
 #[test]
 fn shapes_are_written_as_pictures_models_and_poses() {
     let dir = tempfile::tempdir().unwrap();
-    let run = |args: &[&str]| handcast(args, dir.path()).assert().success();
+    let run = |args: &[&str]| done(args, dir.path());
     run(&["pose", "asl:A", "-o", "a.png", "--size", "96x96"]);
     let picture = image::open(dir.path().join("a.png")).unwrap().to_rgb8();
     assert_eq!(picture.dimensions(), (96, 96));
@@ -96,14 +102,13 @@ fn shapes_are_written_as_pictures_models_and_poses() {
     for (a, b) in clip.frames[0].pose.angles.iter().zip(&expected.angles) {
         assert!((a - b).abs() < 1e-6);
     }
-    let list = run(&["pose", "--list"]).get_output().stdout.clone();
-    assert_eq!(String::from_utf8(list).unwrap().lines().count(), 43);
+    assert_eq!(text(&run(&["pose", "--list"]).stdout).lines().count(), 43);
 }
 
 #[test]
 fn spelled_words_are_feasible_clips() {
     let dir = tempfile::tempdir().unwrap();
-    handcast(&["spell", "HELLO", "-o", "h.jsonl", "--fps", "50"], dir.path()).assert().success();
+    done(&["spell", "HELLO", "-o", "h.jsonl", "--fps", "50"], dir.path());
     let clip = read_poses(&dir.path().join("h.jsonl")).unwrap();
     assert_eq!(clip.header.rate, Some(50.0));
     assert!(clip.frames.len() > 100);
@@ -118,20 +123,20 @@ fn spelled_words_are_feasible_clips() {
 fn wrong_requests_are_refused_and_leave_no_file() {
     let dir = tempfile::tempdir().unwrap();
     let refused = |args: &[&str]| {
-        let output = handcast(args, dir.path()).assert().failure().get_output().clone();
+        let output = handcast(args, dir.path());
         assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 0, "{args:?}");
-        (output.status.code(), String::from_utf8(output.stderr).unwrap())
+        (output.status.code(), text(&output.stderr))
     };
-    let (code, text) = refused(&["pose", "asl:Ö", "-o", "x.png"]);
-    assert!(code == Some(2) && text.contains("no shape is called"), "{text}");
-    let (code, text) = refused(&["pose", "rest", "-o", "x.bmp"]);
-    assert!(code == Some(2) && text.contains("allowed are .glb, .jsonl"), "{text}");
-    let (code, text) = refused(&["spell", "a!", "-o", "x.jsonl"]);
-    assert!(code == Some(2) && text.contains("'!' cannot be spelled"), "{text}");
+    let (code, message) = refused(&["pose", "asl:Ö", "-o", "x.png"]);
+    assert!(code == Some(2) && message.contains("no shape is called"), "{message}");
+    let (code, message) = refused(&["pose", "rest", "-o", "x.bmp"]);
+    assert!(code == Some(2) && message.contains("allowed are .glb, .jsonl"), "{message}");
+    let (code, message) = refused(&["spell", "a!", "-o", "x.jsonl"]);
+    assert!(code == Some(2) && message.contains("'!' cannot be spelled"), "{message}");
     let (code, _) = refused(&["spell", "a", "-o", "x.jsonl", "--rate", "0"]);
     assert_eq!(code, Some(2));
-    let (code, text) = refused(&["import", "missing.jsonl", "-o", "x.jsonl"]);
-    assert!(code == Some(1) && text.contains("missing.jsonl"), "{text}");
+    let (code, message) = refused(&["import", "missing.jsonl", "-o", "x.jsonl"]);
+    assert!(code == Some(1) && message.contains("missing.jsonl"), "{message}");
 }
 
 #[test]
@@ -141,13 +146,15 @@ fn imports_tell_the_hand_and_keep_its_sizes() {
     let dir = tempfile::tempdir().unwrap();
     let source = source.to_str().unwrap();
     let args = ["import", source, "-o", "p.jsonl", "--save-person", "p.toml"];
-    let output = handcast(&args, dir.path()).assert().success().get_output().clone();
-    let text = String::from_utf8(output.stderr).unwrap();
-    assert!(text.starts_with("right hand: 133 frames solved, 0 bridged, 0 lost, 0 points missing"), "{text}");
+    let message = text(&done(&args, dir.path()).stderr);
+    assert!(
+        message.starts_with("right hand: 133 frames solved, 0 bridged, 0 lost, 0 points missing"),
+        "{message}"
+    );
     let clip = read_poses(&dir.path().join("p.jsonl")).unwrap();
     let person = handcast_formats::person::read_person(&dir.path().join("p.toml")).unwrap();
     assert_eq!(clip.header.hands[0].morphology.as_ref(), Some(&person.morphology));
     let args = ["import", source, "-o", "q.jsonl", "--person", "p.toml", "--quiet"];
-    handcast(&args, dir.path()).assert().success().stderr("");
+    assert_eq!(text(&done(&args, dir.path()).stderr), "");
     assert_eq!(read_poses(&dir.path().join("q.jsonl")).unwrap(), clip);
 }

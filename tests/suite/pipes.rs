@@ -7,9 +7,9 @@ use std::process::{Child, ChildStdin, Command, Stdio};
 use std::sync::mpsc::{Receiver, channel};
 use std::time::Duration;
 
+use crate::common::command::program;
 use crate::common::command::{done, path};
 use crate::common::y4m::y4m;
-use assert_cmd::cargo::cargo_bin;
 use handcast_media::{OpenOptions, open};
 use handcast_track::pipeline::{ClipOptions, Tracker};
 use image::RgbImage;
@@ -28,7 +28,7 @@ struct Piped {
 
 impl Piped {
     fn new(arguments: &[&str]) -> Self {
-        let mut command = Command::new(cargo_bin("handcast"));
+        let mut command = Command::new(program());
         let mut child = command.args(arguments).stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
         let (sender, output) = channel();
         let mut from = child.stdout.take().unwrap();
@@ -195,7 +195,7 @@ fn a_paced_clip_gives_poses_before_it_is_over() {
         .stdout(Stdio::piped())
         .spawn()
         .expect("ffmpeg on the path");
-    let mut tracker = Command::new(cargo_bin("handcast"))
+    let mut tracker = Command::new(program())
         .args(["track", "-", "-o", "-", "--quiet"])
         .stdin(camera.stdout.take().unwrap())
         .stdout(Stdio::piped())
