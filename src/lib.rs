@@ -15,6 +15,21 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
+//! [`PoseClip::frames`] has the poses of both hands, one for each hand and moment.
+//!
+//! # Files
+//!
+//! [`formats::motion`] reads and writes all that the command does, and tells by their content what files are:
+//!
+//! ```no_run
+//! use handcast::formats::motion::{Format, Motion, WriteOptions};
+//!
+//! let motion = Motion::read("poses.jsonl".as_ref())?;
+//! let avatar = Format::by_name("wave.vrma".as_ref()).ok_or("no such format")?;
+//! std::fs::write("wave.vrma", avatar.write(&motion.clip, &WriteOptions::default())?.bytes)?;
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
 //! # As it happens
 //!
 //! [`Tracker`], [`LivePoseEncoder`] and [`PoseDecoder`] are pushed into and give what is known so far; each has a `finish`.
