@@ -16,8 +16,10 @@ pub(super) const MOST_WAITING: usize = 8 << 10;
 const TOO_MUCH: usize = 512 << 10;
 /// Bytes of a body that wait at once.
 const PIECE: usize = 16 << 10;
-/// Bytes of a connection with messages that wait in the kernel: what a slow reader has not read grows old there. Answers, which
-/// do not, may have more under way.
+/// Bytes that the kernel is asked to keep of an answer: as much as that is under way at once. Of more it would not be seen soon
+/// enough that a slow reader takes it.
+const ANSWER_BUFFER: usize = 64 << 10;
+/// And of messages, which grow old there when they are not read.
 const SEND_BUFFER: usize = 8 << 10;
 /// Bytes that a connection may send, all at once and a second.
 const BURST: f64 = 128.0 * 1024.0;
@@ -129,7 +131,8 @@ pub(super) const PROTOCOL_ERROR: u16 = 1002;
 const LONGEST_REASON: usize = 123;
 
 impl Client {
-    pub fn new(link: Link, now: Instant) -> Self {
+    pub fn new(mut link: Link, now: Instant) -> Self {
+        link.keep(ANSWER_BUFFER);
         Self {
             link,
             stage: Stage::Request(Vec::new()),
@@ -195,7 +198,7 @@ impl Client {
     /// # Errors
     /// As of [`Self::messages`].
     pub fn open(&mut self, head: &str, first: &[u8]) -> io::Result<Vec<Vec<u8>>> {
-        let _ = socket2::SockRef::from(&*self.link.socket()).set_send_buffer_size(SEND_BUFFER);
+        self.link.keep(SEND_BUFFER);
         self.queue(head.as_bytes())?;
         let config = WebSocketConfig::default()
             .read_buffer_size(1024)

@@ -30,6 +30,12 @@ impl Link {
         &mut self.socket
     }
 
+    /// Asks the kernel to keep so many bytes of what is sent.
+    pub fn keep(&mut self, bytes: usize) {
+        // What it keeps otherwise does, too.
+        let _ = socket2::SockRef::from(&self.socket).set_send_buffer_size(bytes);
+    }
+
     /// Reads what has come; what TLS answers by itself is added to `out`.
     ///
     /// # Errors
