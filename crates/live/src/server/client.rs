@@ -116,7 +116,7 @@ pub(super) fn broken(why: impl Into<Box<dyn std::error::Error + Send + Sync>>) -
 }
 
 /// A closing WebSocket frame of a server, with a code (RFC 6455, 7.4.1) and words for it.
-pub(super) fn closing(code: u16, why: &str) -> Vec<u8> {
+fn closing(code: u16, why: &str) -> Vec<u8> {
     let why = why.get(..why.floor_char_boundary(LONGEST_REASON)).unwrap_or_default();
     let mut out = vec![0x88, 2 + why.len() as u8];
     out.extend(code.to_be_bytes());
@@ -167,18 +167,10 @@ impl Client {
     /// # Errors
     /// The connection is at its end, or sends more than it may.
     pub fn read<'a>(&mut self, buffer: &'a mut [u8], now: Instant) -> io::Result<Option<&'a [u8]>> {
-        let end = io::Error::from(io::ErrorKind::UnexpectedEof);
-        let read = match self.link.read(buffer, &mut self.waiting) {
-            Ok(0) => Err(end),
-            read => read,
-        };
-        let count = match read {
-            // One that has asked all it wants may still take its answer.
-            Err(error)
-                if error.kind() == io::ErrorKind::UnexpectedEof && matches!(self.stage, Stage::Answer) =>
-            {
-                return Ok(None);
-            }
+        let count = match self.link.read(buffer, &mut self.waiting) {
+            // One that asks no more may still take its answer.
+            Ok(0) if matches!(self.stage, Stage::Answer) => return Ok(None),
+            Ok(0) => return Err(io::ErrorKind::UnexpectedEof.into()),
             Ok(count) => count,
             Err(error) if error.kind() == io::ErrorKind::WouldBlock => return Ok(None),
             Err(error) if error.kind() == io::ErrorKind::Interrupted => 0,
@@ -368,5 +360,46 @@ impl Client {
     /// Whether nothing of what waits has been taken for so long.
     pub fn is_stuck(&self, now: Instant, patience: Duration) -> bool {
         self.stuck.is_some_and(|since| now.duration_since(since) > patience)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_answer_of_which_nothing_is_taken_is_stuck() {
+        let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+        let mut reader = std::net::TcpStream::connect(listener.local_addr().unwrap()).unwrap();
+        let (socket, _) = listener.accept().unwrap();
+        socket.set_nonblocking(true).unwrap();
+        let (begun, second) = (Instant::now(), Duration::from_secs(1));
+        let after = |seconds: u32| begun + seconds * second;
+        let mut client = Client::new(Link::new(mio::net::TcpStream::from_std(socket)), begun);
+        client.answer("head", Arc::from(vec![7; 64 << 20])).unwrap();
+        // Until the kernel takes no more.
+        for _ in 0..100 {
+            client.flush(begun).unwrap();
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        client.flush(after(5)).unwrap();
+        assert!(!client.is_done() && !client.is_stuck(after(5), 20 * second));
+        assert_eq!(client.idle_since(), begun);
+        assert!(client.is_stuck(after(21), 20 * second));
+        let mut piece = vec![0; 1 << 20];
+        let mut taken = 0;
+        while client.idle_since() == begun {
+            taken += reader.read(&mut piece).unwrap();
+            assert!(taken < 64 << 20, "{taken} are read, and nothing is taken");
+            client.flush(after(21)).unwrap();
+        }
+        assert!(!client.is_stuck(after(41), 20 * second) && client.is_stuck(after(42), 20 * second));
+        while !client.is_done() {
+            client.flush(after(42)).unwrap();
+            if !client.is_done() {
+                assert!(reader.read(&mut piece).unwrap() > 0);
+            }
+        }
+        assert!(!client.is_stuck(after(99), 20 * second));
     }
 }

@@ -36,10 +36,10 @@ impl Link {
         let _ = socket2::SockRef::from(&self.socket).set_send_buffer_size(bytes);
     }
 
-    /// Reads what has come; what TLS answers by itself is added to `out`.
+    /// Reads what has come, nothing at the end; what TLS answers by itself is added to `out`.
     ///
     /// # Errors
-    /// The connection is at its end, breaks the rules of TLS, or there is nothing for the moment.
+    /// The connection is broken, breaks the rules of TLS, or there is nothing for the moment.
     pub fn read(&mut self, buffer: &mut [u8], out: &mut Vec<u8>) -> io::Result<usize> {
         #[cfg(feature = "tls")]
         if let Some(tls) = &mut self.tls {
@@ -107,6 +107,8 @@ fn read_sealed(
     loop {
         match tls.reader().read(buffer) {
             Err(error) if error.kind() == io::ErrorKind::WouldBlock => {}
+            // An end that TLS was not told, either.
+            Err(error) if error.kind() == io::ErrorKind::UnexpectedEof => return Ok(0),
             read => return read,
         }
         tls.read_tls(socket)?;

@@ -78,7 +78,7 @@ fn a_sender_and_a_viewer_by_tls() {
     let mut own = server.publisher().unwrap();
     let mut socket = enter(dial(TcpStream::connect(server.address()).unwrap()), &server);
     let mut expander = Expander::default();
-    let mut say = |socket: &mut WebSocket<Secure>, message: Message| {
+    let say = |socket: &mut WebSocket<Secure>, message: Message| {
         socket.send(tungstenite::Message::Binary(message.bytes().into())).unwrap();
     };
     own.hello(&Hello { hands: [true, false], record: vec![1] }).unwrap();
