@@ -14,6 +14,8 @@ use crate::wire::{Expander, MAX_BYTES};
 pub(super) const MOST_WAITING: usize = 8 << 10;
 /// A reader with more than this waiting is closed.
 const TOO_MUCH: usize = 512 << 10;
+/// Room for so many bytes is kept where none wait: messages of most planes.
+const ROOM_KEPT: usize = 512;
 /// Bytes of a body that wait at once.
 const PIECE: usize = 16 << 10;
 /// Bytes that the kernel is asked to keep of an answer: as much as that is under way at once. Of more it would not be seen soon
@@ -334,7 +336,7 @@ impl Client {
                 self.written = 0;
             }
         }
-        self.waiting.shrink_to(MOST_WAITING);
+        self.waiting.shrink_to(ROOM_KEPT);
         Ok(any)
     }
 
