@@ -15,9 +15,11 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+mod answers;
 mod client;
 mod fanout;
 mod http;
+mod link;
 
 use std::borrow::Cow;
 use std::io;
@@ -123,10 +125,12 @@ pub struct ServerOptions {
     pub policy: Cow<'static, str>,
     /// Whether those who come may send.
     pub senders: bool,
-    /// Most connections at once, and most of those that have not finished their request.
+    /// Most connections at once, and most of those that are about to ask or are being answered.
     pub connections: [usize; 2],
-    /// Time for a request to come in whole, and for an answer to be taken.
+    /// Time for a request to come in whole.
     pub request_time: Duration,
+    /// Time for an answer to be taken in whole; when nothing of it is taken for 20 s it ends before.
+    pub answer_time: Duration,
     /// A sender that says nothing for so long is gone; a reader may be silent eight times as long. Pages say something
     /// every second.
     pub silence: Duration,
@@ -148,6 +152,7 @@ impl ServerOptions {
             senders: true,
             connections: [4096, 256],
             request_time: Duration::from_secs(5),
+            answer_time: Duration::from_secs(600),
             silence: Duration::from_secs(15),
             #[cfg(feature = "tls")]
             tls: None,
@@ -187,6 +192,11 @@ impl ServerOptions {
     /// Sets the times for requests and of silence.
     pub fn with_times(self, request_time: Duration, silence: Duration) -> Self {
         Self { request_time, silence, ..self }
+    }
+
+    /// Sets the time for an answer to be taken.
+    pub fn with_answer_time(self, answer_time: Duration) -> Self {
+        Self { answer_time, ..self }
     }
 
     /// Sets certificate and key.
@@ -310,8 +320,8 @@ impl Counters {
 
 /// What the server's thread is told.
 enum Command {
-    /// A sender of this process comes; it gets its number.
-    Enter(Arc<AtomicBool>, Sender<Option<u8>>),
+    /// A sender of this process comes, which will say more by these; it gets its end, where there is a place for it.
+    Enter(Commands, Sender<Option<RoomPublisher>>),
     Hello(u8, Hello),
     Planes(u8, Vec<Plane>),
     Leave(u8, Parting),
@@ -380,13 +390,10 @@ impl Server {
     /// # Errors
     /// The room is full, or the server has ended.
     pub fn publisher(&self) -> Result<RoomPublisher, TransportError> {
-        let wanted = Arc::new(AtomicBool::new(false));
-        let (reply, number) = channel();
-        self.commands.say(Command::Enter(Arc::clone(&wanted), reply))?;
-        match number.recv_timeout(Duration::from_secs(10)) {
-            Ok(Some(number)) => {
-                Ok(RoomPublisher { number, wanted, commands: self.commands.clone(), ended: false })
-            }
+        let (reply, publisher) = channel();
+        self.commands.say(Command::Enter(self.commands.clone(), reply))?;
+        match publisher.recv_timeout(Duration::from_secs(10)) {
+            Ok(Some(publisher)) => Ok(publisher),
             Ok(None) => Err(TransportError::Refused { why: "the room has all the senders it takes".into() }),
             Err(_) => Err(TransportError::Closed { why: "the server has ended".into() }),
         }
@@ -432,6 +439,10 @@ impl std::fmt::Debug for RoomPublisher {
 }
 
 impl RoomPublisher {
+    fn new(number: u8, commands: Commands) -> Self {
+        Self { number, wanted: Arc::default(), commands, ended: false }
+    }
+
     /// Its number in the room.
     pub fn number(&self) -> u8 {
         self.number
@@ -461,6 +472,28 @@ impl Drop for RoomPublisher {
     fn drop(&mut self) {
         if !self.ended {
             let _ = self.commands.say(Command::Leave(self.number, Parting::Gone));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::wire::MAX_SENDERS;
+
+    #[test]
+    fn who_waits_no_more_for_a_place_leaves_it() {
+        let server = Server::start(ServerOptions::new("127.0.0.1:0".parse().unwrap())).unwrap();
+        for _ in 0..MAX_SENDERS {
+            let (reply, _) = channel();
+            server.commands.say(Command::Enter(server.commands.clone(), reply)).unwrap();
+        }
+        // Whoever was let in says that it leaves when it has been.
+        let end = std::time::Instant::now() + Duration::from_secs(5);
+        let mut publishers = Vec::new();
+        while publishers.len() < usize::from(MAX_SENDERS) {
+            publishers.extend(server.publisher().ok());
+            assert!(std::time::Instant::now() < end, "{} of {MAX_SENDERS}", publishers.len());
         }
     }
 }

@@ -3,6 +3,10 @@
 #![cfg(feature = "server")]
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+#[cfg(feature = "tls")]
+#[path = "room/tls.rs"]
+mod tls;
+
 use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpStream};
 use std::time::{Duration, Instant};
@@ -280,6 +284,14 @@ fn an_i_plane_is_asked_for_when_a_slow_reader_has_room_again() {
     assert_eq!(next_plane(&mut slow).period, 1);
 }
 
+/// A connection of which the kernel takes little before it is read.
+fn narrow(address: SocketAddr) -> TcpStream {
+    let socket = socket2::Socket::new(socket2::Domain::IPV4, socket2::Type::STREAM, None).unwrap();
+    socket.set_recv_buffer_size(4096).unwrap();
+    socket.connect(&address.into()).unwrap();
+    socket.into()
+}
+
 /// What a server answers to a request.
 fn ask(address: SocketAddr, request: &str) -> String {
     let mut socket = TcpStream::connect(address).unwrap();
@@ -476,6 +488,151 @@ fn readers_that_trickle_are_served_to_the_end() {
         std::thread::sleep(Duration::from_millis(1));
     }
     assert!(length > 400_000, "{length}");
+}
+
+/// A server with one file of this many bytes, which gzip makes no smaller, and one who has asked for it.
+fn asked_for(length: u32, options: ServerOptions) -> (Server, TcpStream) {
+    let body: Vec<u8> = (0..length).map(|n| (n.wrapping_mul(2_654_435_761) >> 24) as u8).collect();
+    let server = Server::start(options.with_parts(vec![Part::new("", "text/html", body)])).unwrap();
+    let mut socket = narrow(server.address());
+    socket.set_read_timeout(Some(5 * SECOND)).unwrap();
+    socket.write_all(format!("GET /r HTTP/1.1\r\nHost: {}\r\n\r\n", server.address()).as_bytes()).unwrap();
+    (server, socket)
+}
+
+#[test]
+fn an_answer_may_take_longer_than_a_request() {
+    let (_server, mut slow) = asked_for(4_000_000, options().with_times(SECOND / 10, 15 * SECOND));
+    let (mut length, mut piece, begun) = (0, [0; 16_384], Instant::now());
+    loop {
+        match slow.read(&mut piece).unwrap() {
+            0 => break,
+            count => length += count,
+        }
+        std::thread::sleep(SECOND / 200);
+    }
+    assert!(length > 4_000_000 && begun.elapsed() > SECOND, "{length} in {:?}", begun.elapsed());
+}
+
+#[test]
+fn an_answer_has_its_end_however_steadily_it_is_taken() {
+    let (server, mut slow) = asked_for(100_000_000, options().with_answer_time(SECOND));
+    let (mut piece, begun) = ([0; 1024], Instant::now());
+    while slow.read(&mut piece).is_ok_and(|count| count > 0) && server.counted().refused == 0 {
+        assert!(begun.elapsed() < 10 * SECOND, "{:?}", server.counted());
+        std::thread::sleep(SECOND / 100);
+    }
+    assert!(begun.elapsed() > SECOND, "{:?}", begun.elapsed());
+    works(&server);
+}
+
+#[test]
+fn one_who_says_no_more_than_a_request_is_answered() {
+    let (_server, mut half) = asked_for(4_000_000, options());
+    half.shutdown(std::net::Shutdown::Write).unwrap();
+    let mut answer = Vec::new();
+    half.read_to_end(&mut answer).unwrap();
+    assert!(answer.len() > 4_000_000, "{}", answer.len());
+}
+
+/// Of many who are answered the one goes that takes nothing, not the one who came first.
+#[test]
+fn who_takes_an_answer_slowly_keeps_its_place() {
+    let mut options = options();
+    options.connections = [4096, 20];
+    let (server, mut slow) = asked_for(4_000_000, options);
+    let address = server.address();
+    let stop = std::sync::atomic::AtomicBool::new(false);
+    std::thread::scope(|scope| {
+        scope.spawn(|| {
+            let mut held = Vec::new();
+            while !stop.load(std::sync::atomic::Ordering::Relaxed) {
+                held.push(TcpStream::connect(address).unwrap());
+                std::thread::sleep(SECOND / 100);
+            }
+        });
+        let (mut length, mut piece) = (0, [0; 16_384]);
+        while let Ok(count @ 1..) = slow.read(&mut piece) {
+            length += count;
+            std::thread::sleep(SECOND / 300);
+        }
+        stop.store(true, std::sync::atomic::Ordering::Relaxed);
+        assert!(length > 4_000_000, "{length}");
+    });
+}
+
+#[test]
+fn files_are_gzipped_for_those_who_take_it() {
+    let text = "hands ".repeat(10_000);
+    let parts = vec![Part::new("", "text/html", &text), Part::new("tiny", "text/plain", "x")];
+    let server = Server::start(options().with_parts(parts)).unwrap();
+    let address = server.address();
+    let ask = |method: &str, path: &str, takes: &str| {
+        let mut socket = TcpStream::connect(address).unwrap();
+        let head = format!("{method} {path} HTTP/1.1\r\nHost: {address}\r\nAccept-Encoding: {takes}\r\n\r\n");
+        socket.write_all(head.as_bytes()).unwrap();
+        let mut answer = Vec::new();
+        socket.read_to_end(&mut answer).unwrap();
+        let end = answer.windows(4).position(|bytes| bytes == b"\r\n\r\n").unwrap();
+        let body = answer.split_off(end + 4);
+        (String::from_utf8(answer).unwrap(), body)
+    };
+    let has = |head: &str, line: &str| head.lines().any(|found| found == line);
+    let is_packed = |head: &str| has(head, "Content-Encoding: gzip");
+    // It is packed while it is served already.
+    let end = Instant::now() + 10 * SECOND;
+    let (head, body) = loop {
+        let (head, body) = ask("GET", "/r", "br, gzip");
+        assert!(
+            has(&head, "Vary: Accept-Encoding") && has(&head, &format!("Content-Length: {}", body.len()))
+        );
+        if is_packed(&head) {
+            break (head, body);
+        }
+        assert!(body == text.as_bytes() && Instant::now() < end, "{head}");
+    };
+    assert!(body.len() < text.len() / 20, "{}", body.len());
+    let mut plain = String::new();
+    flate2::read::GzDecoder::new(&body[..]).read_to_string(&mut plain).unwrap();
+    assert_eq!(plain, text);
+    assert_eq!(ask("HEAD", "/r", "gzip"), (head, Vec::new()));
+    for takes in ["", "gzip;q=0", "br"] {
+        let (head, body) = ask("GET", "/r", takes);
+        assert!(!is_packed(&head) && has(&head, "Vary: Accept-Encoding"), "{head}");
+        assert!(has(&head, "Content-Length: 60000") && body == text.as_bytes(), "{head}");
+    }
+    let (head, body) = ask("GET", "/tiny", "gzip");
+    assert!(!is_packed(&head) && body == b"x", "{head}");
+}
+
+#[test]
+fn planes_before_the_end_in_one_message_are_handed_on() {
+    let server = server();
+    let mut viewer = join(&server);
+    let mut sender = join(&server);
+    sender.hello(&Hello::default()).unwrap();
+    let together = |messages: &[Message]| messages.iter().flat_map(Message::bytes).collect::<Vec<u8>>();
+    let hello = Message::Hello { sender: 0, hands: [true, true], record: Vec::new() };
+    let end = Message::End { sender: 0, parting: Parting::Left };
+    sender
+        .say(together(&[
+            Message::Plane(plane(0, 0, 40)),
+            hello,
+            Message::Plane(plane(0, 1, 20)),
+            Message::Plane(plane(0, 2, 20)),
+            end.clone(),
+        ]))
+        .unwrap();
+    let mut came = Vec::new();
+    while came.last() != Some(&end) {
+        came.extend(viewer.next(5 * SECOND).unwrap());
+    }
+    let kinds: Vec<&str> = came.iter().map(Message::kind).collect();
+    assert_eq!(kinds, ["hello", "plane", "hello", "plane", "plane", "end"], "{came:?}");
+    // It may come again.
+    sender.say(together(&[Message::Hello { sender: 0, hands: [true, true], record: Vec::new() }])).unwrap();
+    sender.say(together(&[Message::Plane(plane(1, 0, 40))])).unwrap();
+    assert_eq!(next_plane(&mut viewer), plane(1, 0, 40));
 }
 
 /// Planes come whole and in order where packets are lost and late.

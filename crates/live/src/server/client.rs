@@ -4,9 +4,9 @@ use std::io::{self, Read, Write};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use mio::net::TcpStream;
 use tungstenite::protocol::{Role, WebSocketConfig, WebSocketContext};
 
+use super::link::Link;
 use crate::room::Following;
 use crate::wire::{Expander, MAX_BYTES};
 
@@ -14,59 +14,18 @@ use crate::wire::{Expander, MAX_BYTES};
 pub(super) const MOST_WAITING: usize = 8 << 10;
 /// A reader with more than this waiting is closed.
 const TOO_MUCH: usize = 512 << 10;
+/// Room for so many bytes is kept where none wait: messages of most planes.
+const ROOM_KEPT: usize = 512;
+/// Bytes of a body that wait at once.
+const PIECE: usize = 16 << 10;
+/// Bytes that the kernel is asked to keep of an answer: as much as that is under way at once. Of more it would not be seen soon
+/// enough that a slow reader takes it.
+const ANSWER_BUFFER: usize = 64 << 10;
+/// And of messages, which grow old there when they are not read.
+const SEND_BUFFER: usize = 8 << 10;
 /// Bytes that a connection may send, all at once and a second.
 const BURST: f64 = 128.0 * 1024.0;
 const PER_SECOND: f64 = 32.0 * 1024.0;
-
-/// Bytes in and out.
-pub(super) enum Link {
-    Plain(TcpStream),
-    #[cfg(feature = "tls")]
-    Tls(Box<rustls::ServerConnection>, TcpStream),
-}
-
-impl Link {
-    pub fn socket(&mut self) -> &mut TcpStream {
-        match self {
-            Self::Plain(socket) => socket,
-            #[cfg(feature = "tls")]
-            Self::Tls(_, socket) => socket,
-        }
-    }
-
-    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
-        match self {
-            Self::Plain(socket) => socket.read(buffer),
-            #[cfg(feature = "tls")]
-            Self::Tls(tls, socket) => rustls::Stream::new(&mut **tls, socket).read(buffer),
-        }
-    }
-
-    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        match self {
-            Self::Plain(socket) => socket.write(bytes),
-            #[cfg(feature = "tls")]
-            Self::Tls(tls, socket) => {
-                // What is encrypted already goes first, or it would pile up there.
-                while tls.wants_write() {
-                    tls.write_tls(socket)?;
-                }
-                rustls::Stream::new(&mut **tls, socket).write(bytes)
-            }
-        }
-    }
-
-    /// Sends what is encrypted already.
-    fn push(&mut self) -> io::Result<()> {
-        #[cfg(feature = "tls")]
-        if let Self::Tls(tls, socket) = self {
-            while tls.wants_write() {
-                tls.write_tls(socket)?;
-            }
-        }
-        Ok(())
-    }
-}
 
 /// How far a connection has come.
 pub(super) enum Stage {
@@ -93,11 +52,11 @@ pub(super) struct Open {
 pub(super) struct Client {
     pub link: Link,
     pub stage: Stage,
-    /// What waits to be written, from `written` on; then the rest of an answer.
+    /// What waits for the socket as it goes over it, from `written` on; then the rest of an answer.
     waiting: Vec<u8>,
     written: usize,
     body: Option<(Arc<[u8]>, usize)>,
-    /// When it came, when something came from it, and since when what waits does not get less.
+    /// When it came, when something came from it, and since when nothing of what waits has been taken.
     pub since: Instant,
     pub heard: Instant,
     stuck: Option<Instant>,
@@ -108,10 +67,10 @@ pub(super) struct Client {
     pub leaving: bool,
 }
 
-/// Bytes read, and a place for what is to be written, as WebSocket frames need them.
+/// Bytes read, and what is answered to them, as WebSocket frames need them.
 struct Side<'a> {
     read: &'a [u8],
-    waiting: &'a mut Vec<u8>,
+    answers: Vec<u8>,
 }
 
 impl Read for Side<'_> {
@@ -125,10 +84,7 @@ impl Read for Side<'_> {
 
 impl Write for Side<'_> {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        if self.waiting.len() > TOO_MUCH {
-            return Err(io::ErrorKind::OutOfMemory.into());
-        }
-        self.waiting.extend(bytes);
+        self.answers.extend(bytes);
         Ok(bytes.len())
     }
 
@@ -162,7 +118,7 @@ pub(super) fn broken(why: impl Into<Box<dyn std::error::Error + Send + Sync>>) -
 }
 
 /// A closing WebSocket frame of a server, with a code (RFC 6455, 7.4.1) and words for it.
-pub(super) fn closing(code: u16, why: &str) -> Vec<u8> {
+fn closing(code: u16, why: &str) -> Vec<u8> {
     let why = why.get(..why.floor_char_boundary(LONGEST_REASON)).unwrap_or_default();
     let mut out = vec![0x88, 2 + why.len() as u8];
     out.extend(code.to_be_bytes());
@@ -177,7 +133,8 @@ pub(super) const PROTOCOL_ERROR: u16 = 1002;
 const LONGEST_REASON: usize = 123;
 
 impl Client {
-    pub fn new(link: Link, now: Instant) -> Self {
+    pub fn new(mut link: Link, now: Instant) -> Self {
+        link.keep(ANSWER_BUFFER);
         Self {
             link,
             stage: Stage::Request(Vec::new()),
@@ -198,12 +155,23 @@ impl Client {
         !matches!(self.stage, Stage::Open(_))
     }
 
+    /// Since when it does not go on, where it is no connection with messages yet: a request is one step, however slowly it
+    /// comes.
+    pub fn idle_since(&self) -> Instant {
+        match self.stage {
+            Stage::Answer => self.stuck.unwrap_or(self.since),
+            _ => self.since,
+        }
+    }
+
     /// Reads what has come, at most `buffer` at once; none when there is no more for the moment.
     ///
     /// # Errors
     /// The connection is at its end, or sends more than it may.
     pub fn read<'a>(&mut self, buffer: &'a mut [u8], now: Instant) -> io::Result<Option<&'a [u8]>> {
-        let count = match self.link.read(buffer) {
+        let count = match self.link.read(buffer, &mut self.waiting) {
+            // One that asks no more may still take its answer.
+            Ok(0) if matches!(self.stage, Stage::Answer) => return Ok(None),
             Ok(0) => return Err(io::ErrorKind::UnexpectedEof.into()),
             Ok(count) => count,
             Err(error) if error.kind() == io::ErrorKind::WouldBlock => return Ok(None),
@@ -219,14 +187,13 @@ impl Client {
         Ok(buffer.get(..count))
     }
 
-    /// Becomes a connection with messages, the first bytes of which may have come.
-    pub fn open(&mut self, key: &str, first: &[u8]) -> io::Result<Vec<Vec<u8>>> {
-        let accept = tungstenite::handshake::derive_accept_key(key.as_bytes());
-        let head = format!(
-            "HTTP/1.1 101 Switching Protocols\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n\
-             Sec-WebSocket-Accept: {accept}\r\n\r\n"
-        );
-        self.queue(head.as_bytes());
+    /// Becomes a connection with messages, the first bytes of which may have come, behind an answer that says so.
+    ///
+    /// # Errors
+    /// As of [`Self::messages`].
+    pub fn open(&mut self, head: &str, first: &[u8]) -> io::Result<Vec<Vec<u8>>> {
+        self.link.keep(SEND_BUFFER);
+        self.queue(head.as_bytes())?;
         let config = WebSocketConfig::default()
             .read_buffer_size(1024)
             .write_buffer_size(0)
@@ -250,7 +217,7 @@ impl Client {
     /// It closes, or breaks the rules.
     pub fn messages(&mut self, bytes: &[u8]) -> io::Result<Vec<Vec<u8>>> {
         let Stage::Open(open) = &mut self.stage else { return Ok(Vec::new()) };
-        let mut side = Side { read: bytes, waiting: &mut self.waiting };
+        let mut side = Side { read: bytes, answers: Vec::new() };
         let mut found = Vec::new();
         loop {
             match open.context.read(&mut side) {
@@ -261,16 +228,19 @@ impl Client {
                 // It has said that it goes, and is answered.
                 Err(tungstenite::Error::ConnectionClosed) => {
                     self.leaving = true;
-                    return Ok(found);
+                    break;
                 }
                 Err(error) => return Err(broken(error)),
             }
         }
         // Answers to pings.
         match open.context.flush(&mut side) {
+            _ if self.leaving => {}
             Err(tungstenite::Error::ConnectionClosed) => self.leaving = true,
             flushed => flushed.map_err(io::Error::other)?,
         }
+        self.queue(&side.answers)?;
+        self.check_waiting()?;
         Ok(found)
     }
 
@@ -279,17 +249,33 @@ impl Client {
         self.waiting.len() - self.written
     }
 
+    /// # Errors
+    /// Too much waits.
+    fn check_waiting(&self) -> io::Result<()> {
+        if self.waiting() > TOO_MUCH {
+            return Err(io::Error::other("too much waits"));
+        }
+        Ok(())
+    }
+
     /// Adds bytes to what waits.
-    pub fn queue(&mut self, bytes: &[u8]) {
-        self.waiting.extend(bytes);
+    ///
+    /// # Errors
+    /// The connection is at its end.
+    pub fn queue(&mut self, bytes: &[u8]) -> io::Result<()> {
+        self.link.seal(bytes, &mut self.waiting)
     }
 
     /// Adds an answer to what waits, its body last; the connection closes behind it.
-    pub fn answer(&mut self, head: &str, body: Arc<[u8]>) {
-        self.queue(head.as_bytes());
+    ///
+    /// # Errors
+    /// The connection is at its end.
+    pub fn answer(&mut self, head: &str, body: Arc<[u8]>) -> io::Result<()> {
+        self.queue(head.as_bytes())?;
         self.body = Some((body, 0));
         self.stage = Stage::Answer;
         self.leaving = true;
+        Ok(())
     }
 
     /// Writes a frame at once if nothing waits; what is left waits.
@@ -297,23 +283,20 @@ impl Client {
     /// # Errors
     /// The connection is at its end, or too much waits.
     pub fn send(&mut self, frame: &[u8], now: Instant) -> io::Result<()> {
-        let mut rest = frame;
-        if self.waiting() == 0 {
-            match self.link.write(frame) {
-                Ok(count) => rest = frame.get(count..).unwrap_or_default(),
-                Err(error) if error.kind() == io::ErrorKind::WouldBlock => {}
-                Err(error) => return Err(error),
-            }
-            if rest.is_empty() {
-                return Ok(());
-            }
-            self.stuck.get_or_insert(now);
+        let waits = self.waiting() > 0;
+        self.queue(frame)?;
+        if !waits {
+            self.flush(now)?;
         }
-        self.queue(rest);
-        if self.waiting() > TOO_MUCH {
-            return Err(io::Error::other("too much waits"));
+        self.check_waiting()
+    }
+
+    /// Says to one with messages why it is left, as far as it listens.
+    pub fn part(&mut self, code: u16, why: &str, now: Instant) {
+        if !self.is_young() {
+            self.leaving = true;
+            let _ = self.queue(&closing(code, why)).and_then(|()| self.flush(now));
         }
-        Ok(())
     }
 
     /// Writes what waits, as far as it is taken.
@@ -334,46 +317,91 @@ impl Client {
     fn write_waiting(&mut self) -> io::Result<bool> {
         let mut any = false;
         loop {
-            let rest = match &self.body {
-                _ if self.waiting() > 0 => self.waiting.get(self.written..),
-                Some((body, at)) => body.get(*at..),
-                None => None,
-            };
-            let Some(rest) = rest.filter(|rest| !rest.is_empty()) else { break };
-            let count = match self.link.write(rest) {
+            if self.waiting() == 0 {
+                self.waiting.clear();
+                self.written = 0;
+                self.refill()?;
+            }
+            let Some(rest) = self.waiting.get(self.written..).filter(|rest| !rest.is_empty()) else { break };
+            match self.link.socket().write(rest) {
                 Ok(0) => return Err(io::ErrorKind::WriteZero.into()),
-                Ok(count) => count,
+                Ok(count) => self.written += count,
                 Err(error) if error.kind() == io::ErrorKind::WouldBlock => return Ok(any),
                 Err(error) if error.kind() == io::ErrorKind::Interrupted => continue,
                 Err(error) => return Err(error),
-            };
-            any = true;
-            match &mut self.body {
-                Some((_, at)) if self.waiting.len() == self.written => *at += count,
-                _ => self.written += count,
             }
-            if self.written == self.waiting.len() {
-                self.waiting.clear();
-                self.written = 0;
-                self.waiting.shrink_to(MOST_WAITING);
-            } else if self.written > MOST_WAITING {
+            any = true;
+            if self.written > MOST_WAITING {
                 self.waiting.drain(..self.written);
                 self.written = 0;
             }
         }
-        match self.link.push() {
-            Err(error) if error.kind() != io::ErrorKind::WouldBlock => Err(error),
-            _ => Ok(any),
-        }
+        self.waiting.shrink_to(ROOM_KEPT);
+        Ok(any)
+    }
+
+    /// Where nothing waits: the next piece of the body, or, behind everything, that nothing comes any more.
+    fn refill(&mut self) -> io::Result<()> {
+        let Some((body, at)) = self.body.take() else {
+            if self.leaving {
+                self.link.seal_end(&mut self.waiting)?;
+            }
+            return Ok(());
+        };
+        let end = body.len().min(at + PIECE);
+        self.queue(body.get(at..end).unwrap_or_default())?;
+        self.body = (end < body.len()).then_some((body, end));
+        Ok(())
     }
 
     /// Whether all is written.
     pub fn is_done(&self) -> bool {
-        self.waiting() == 0 && self.body.as_ref().is_none_or(|(body, at)| *at >= body.len())
+        self.waiting() == 0 && self.body.is_none()
     }
 
-    /// Whether what waits has not become less for so long.
+    /// Whether nothing of what waits has been taken for so long.
     pub fn is_stuck(&self, now: Instant, patience: Duration) -> bool {
         self.stuck.is_some_and(|since| now.duration_since(since) > patience)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_answer_of_which_nothing_is_taken_is_stuck() {
+        let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+        let mut reader = std::net::TcpStream::connect(listener.local_addr().unwrap()).unwrap();
+        let (socket, _) = listener.accept().unwrap();
+        socket.set_nonblocking(true).unwrap();
+        let (begun, second) = (Instant::now(), Duration::from_secs(1));
+        let after = |seconds: u32| begun + seconds * second;
+        let mut client = Client::new(Link::new(mio::net::TcpStream::from_std(socket)), begun);
+        client.answer("head", Arc::from(vec![7; 64 << 20])).unwrap();
+        // Until the kernel takes no more.
+        for _ in 0..100 {
+            client.flush(begun).unwrap();
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        client.flush(after(5)).unwrap();
+        assert!(!client.is_done() && !client.is_stuck(after(5), 20 * second));
+        assert_eq!(client.idle_since(), begun);
+        assert!(client.is_stuck(after(21), 20 * second));
+        let mut piece = vec![0; 1 << 20];
+        let mut taken = 0;
+        while client.idle_since() == begun {
+            taken += reader.read(&mut piece).unwrap();
+            assert!(taken < 64 << 20, "{taken} are read, and nothing is taken");
+            client.flush(after(21)).unwrap();
+        }
+        assert!(!client.is_stuck(after(41), 20 * second) && client.is_stuck(after(42), 20 * second));
+        while !client.is_done() {
+            client.flush(after(42)).unwrap();
+            if !client.is_done() {
+                assert!(reader.read(&mut piece).unwrap() > 0);
+            }
+        }
+        assert!(!client.is_stuck(after(99), 20 * second));
     }
 }

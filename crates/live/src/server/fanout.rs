@@ -10,12 +10,14 @@ use std::time::{Duration, Instant};
 use mio::net::{TcpListener, TcpStream};
 use mio::{Events, Interest, Poll, Token, Waker};
 
-use super::client::{Client, GOING_AWAY, Link, MOST_WAITING, PROTOCOL_ERROR, Stage, broken, closing, frame};
+use super::answers::Answers;
+use super::client::{Client, GOING_AWAY, MOST_WAITING, PROTOCOL_ERROR, Stage, broken, frame};
 use super::http::{Reply, reply};
-use super::{Command, Counters, ServerOptions, clock_us};
+use super::link::Link;
+use super::{Command, Counters, RoomPublisher, ServerOptions, clock_us};
 use crate::room::Room;
 use crate::transport::Hello;
-use crate::wire::{Message, Parting, Refusal};
+use crate::wire::{Message, Parting, Plane, Refusal};
 
 const LISTENER: Token = Token(0);
 const WAKER: Token = Token(1);
@@ -29,12 +31,11 @@ const PATIENCE: Duration = Duration::from_secs(20);
 const READERS_PATIENCE: u32 = 8;
 /// Connections that the system keeps until they are accepted.
 const BACKLOG: i32 = 1024;
-/// Bytes of a connection that wait in the kernel.
-const SEND_BUFFER: usize = 8 << 10;
 
 /// The server's thread.
 pub(super) struct Fanout {
     options: ServerOptions,
+    answers: Answers,
     poll: Poll,
     listener: TcpListener,
     orders: Receiver<Command>,
@@ -63,6 +64,7 @@ impl Fanout {
         poll.registry().register(&mut listener, LISTENER, Interest::READABLE)?;
         let waker = Waker::new(poll.registry(), WAKER)?;
         let fanout = Self {
+            answers: Answers::new(&options),
             options,
             poll,
             listener,
@@ -122,10 +124,11 @@ impl Fanout {
     fn obey(&mut self) {
         while let Ok(command) = self.orders.try_recv() {
             match command {
-                Command::Enter(wanted, reply) => {
-                    let number = self.room.enter().ok();
-                    self.local.extend(number.map(|number| (number, wanted)));
-                    let _ = reply.send(number);
+                Command::Enter(commands, reply) => {
+                    let publisher = self.room.enter().ok().map(|number| RoomPublisher::new(number, commands));
+                    self.local.extend(publisher.iter().map(|own| (own.number, Arc::clone(&own.wanted))));
+                    // One that nobody takes is dropped, and leaves.
+                    let _ = reply.send(publisher);
                 }
                 Command::Hello(number, hello) => {
                     if let Ok(told) = self.room.announce(number, hello) {
@@ -146,7 +149,7 @@ impl Fanout {
                 Command::Stop => {
                     let now = Instant::now();
                     for client in self.clients.iter_mut().flatten() {
-                        let _ = client.send(&closing(GOING_AWAY, ""), now);
+                        client.part(GOING_AWAY, "", now);
                     }
                     self.ended = true;
                 }
@@ -178,13 +181,14 @@ impl Fanout {
         }
     }
 
-    /// Closes the one that has been about to ask for longest; false where there is none.
+    /// Closes the one that has been about to ask, or has taken nothing of its answer, for longest; false where there is none.
     fn make_room(&mut self) -> bool {
         let all = self.clients.iter().enumerate();
-        let young = all.filter_map(|(n, client)| Some((client.as_ref().filter(|c| c.is_young())?.since, n)));
-        let oldest = young.min().map(|(_, n)| n);
-        oldest.into_iter().for_each(|n| self.close(n));
-        oldest.is_some()
+        let young =
+            all.filter_map(|(n, client)| Some((client.as_ref().filter(|c| c.is_young())?.idle_since(), n)));
+        let idlest = young.min().map(|(_, n)| n);
+        idlest.into_iter().for_each(|n| self.close(n));
+        idlest.is_some()
     }
 
     fn admit(&mut self, mut socket: TcpStream) -> io::Result<()> {
@@ -195,7 +199,6 @@ impl Fanout {
             return Err(io::Error::other("full"));
         }
         socket.set_nodelay(true)?;
-        let _ = socket2::SockRef::from(&socket).set_send_buffer_size(SEND_BUFFER);
         let index = self.free.pop().unwrap_or_else(|| {
             self.clients.push(None);
             self.clients.len() - 1
@@ -219,27 +222,29 @@ impl Fanout {
 
     #[cfg(feature = "tls")]
     fn link(&self, socket: TcpStream) -> io::Result<Link> {
-        let Some(tls) = &self.options.tls else { return Ok(Link::Plain(socket)) };
+        let link = Link::new(socket);
+        let Some(tls) = &self.options.tls else { return Ok(link) };
         let connection = rustls::ServerConnection::new(Arc::clone(&tls.0)).map_err(io::Error::other)?;
-        Ok(Link::Tls(Box::new(connection), socket))
+        Ok(link.with_tls(connection))
     }
 
     #[cfg(not(feature = "tls"))]
     #[allow(clippy::unnecessary_wraps)]
     fn link(&self, socket: TcpStream) -> io::Result<Link> {
-        Ok(Link::Plain(socket))
+        Ok(Link::new(socket))
     }
 
     /// Something can be read or written.
     fn attend(&mut self, index: usize) {
         if let Err(error) = self.exchange(index) {
             self.counters.refused.fetch_add(1, Ordering::Relaxed);
-            if error.kind() == io::ErrorKind::InvalidData
-                && let Some(Some(client)) = self.clients.get_mut(index)
-                && matches!(client.stage, Stage::Open(_))
-            {
-                // It is told why, if it listens.
-                let _ = client.send(&closing(PROTOCOL_ERROR, &error.to_string()), Instant::now());
+            if let Some(Some(client)) = self.clients.get_mut(index) {
+                let now = Instant::now();
+                if error.kind() == io::ErrorKind::InvalidData {
+                    client.part(PROTOCOL_ERROR, &error.to_string(), now);
+                }
+                // What TLS says of it.
+                let _ = client.flush(now);
             }
             self.close(index);
         } else if self
@@ -294,105 +299,110 @@ impl Fanout {
             client.stage = Stage::Request(head);
             return Ok(Vec::new());
         };
-        let no_body = || Arc::from(&[][..]);
-        let policy = &self.options.policy;
-        match reply {
-            Reply::Upgrade { key } => {
-                client.heard = Instant::now();
-                let messages = client.open(&key, head.get(length..).unwrap_or_default())?;
-                self.welcome(index);
-                return Ok(messages);
-            }
-            Reply::Part { index, head_only } => {
-                let part = self.options.parts.get(index);
-                let body = part.map_or_else(no_body, |part| Arc::clone(&part.bytes));
-                let kind = part.map_or("text/plain", |part| &part.kind);
-                let head = answer_head(policy, "200 OK", kind, body.len(), "");
-                client.answer(&head, if head_only { no_body() } else { body });
-            }
-            Reply::Moved(to) => {
-                let head = answer_head(policy, "302 Found", "text/plain", 0, &format!("Location: {to}\r\n"));
-                client.answer(&head, no_body());
-            }
-            Reply::Error(status, text) => {
-                self.counters.refused.fetch_add(1, Ordering::Relaxed);
-                let head = answer_head(policy, &format!("{status} {text}"), "text/plain", text.len(), "");
-                client.answer(&head, Arc::from(text.as_bytes()));
-            }
+        let (answer, body) = self.answers.to(&reply);
+        if let Reply::Upgrade { .. } = reply {
+            client.heard = Instant::now();
+            let messages = client.open(&answer, head.get(length..).unwrap_or_default())?;
+            self.welcome(index)?;
+            return Ok(messages);
         }
+        if let Reply::Error(..) = reply {
+            self.counters.refused.fetch_add(1, Ordering::Relaxed);
+        }
+        client.answer(&answer, body)?;
         Ok(Vec::new())
     }
 
     /// Tells one who has come what there is.
-    fn welcome(&mut self, index: usize) {
-        let Some(Some(client)) = self.clients.get_mut(index) else { return };
-        let Stage::Open(open) = &mut client.stage else { return };
+    fn welcome(&mut self, index: usize) -> io::Result<()> {
+        let Some(Some(client)) = self.clients.get_mut(index) else { return Ok(()) };
+        let Stage::Open(open) = &mut client.stage else { return Ok(()) };
         for told in self.room.welcome(&mut open.following) {
-            client.queue(&frame(&told));
+            client.queue(&frame(&told))?;
         }
         let unjoinable: Vec<u8> = self.room.unjoinable().collect();
         for sender in unjoinable {
             self.ask_intra(sender);
         }
+        Ok(())
     }
 
     /// Does what a client says.
     fn heard(&mut self, index: usize, bytes: &[u8], now: Instant) -> io::Result<()> {
-        let Some(Some(client)) = self.clients.get_mut(index) else { return Ok(()) };
-        let Stage::Open(open) = &mut client.stage else { return Ok(()) };
+        let Some(Some(Client { stage: Stage::Open(open), .. })) = self.clients.get_mut(index) else {
+            return Ok(());
+        };
         let messages = open.expander.read_all(bytes).map_err(broken)?;
+        // Planes one behind the other go on together.
         let mut planes = Vec::new();
         for message in messages {
-            let Some(Some(client)) = self.clients.get_mut(index) else { return Ok(()) };
-            let Stage::Open(open) = &mut client.stage else { return Ok(()) };
-            match (message, open.sender) {
-                (Message::Ping { mark }, _) => {
-                    let pong = Message::Pong { mark, clock_us: clock_us() }.bytes();
-                    client.send(&frame(&pong), now)?;
-                }
-                (Message::Plane(plane), Some(_)) => planes.push(plane),
-                (Message::Hello { hands, record, .. }, number) => {
-                    let number = match number {
-                        Some(number) => Ok(number),
-                        None if self.options.senders => self.room.enter().map_err(|_| Refusal::Full),
-                        None => Err(Refusal::Closed),
-                    };
-                    let number = match number {
-                        Ok(number) => number,
-                        Err(refusal) => {
-                            open.refused = true;
-                            client.send(&frame(&Message::Refused { refusal }.bytes()), now)?;
-                            continue;
-                        }
-                    };
-                    (open.sender, open.refused) = (Some(number), false);
-                    client.send(&frame(&Message::Welcome { sender: number }.bytes()), now)?;
-                    let told = self.room.announce(number, Hello { hands, record }).map_err(broken)?;
-                    self.tell(&told);
-                }
-                (Message::Plane(_), None) if open.refused => {}
-                (Message::End { .. }, Some(number)) => {
-                    open.sender = None;
+            if let Message::Plane(plane) = message {
+                planes.push(plane);
+            } else {
+                self.publish(index, std::mem::take(&mut planes))?;
+                self.said(index, message, now)?;
+            }
+        }
+        self.publish(index, planes)
+    }
+
+    /// Hands on the planes of a client.
+    fn publish(&mut self, index: usize, planes: Vec<Plane>) -> io::Result<()> {
+        let Some(Some(Client { stage: Stage::Open(open), .. })) = self.clients.get(index) else {
+            return Ok(());
+        };
+        match open.sender {
+            _ if planes.is_empty() => {}
+            Some(number) => {
+                let deliveries = self.room.publish(number, planes).map_err(broken)?;
+                deliveries.iter().for_each(|delivery| self.deliver(delivery));
+            }
+            None if open.refused => {}
+            None => return Err(nothing_told("plane")),
+        }
+        Ok(())
+    }
+
+    /// Does what a message says that is no plane.
+    fn said(&mut self, index: usize, message: Message, now: Instant) -> io::Result<()> {
+        let Some(Some(client)) = self.clients.get_mut(index) else { return Ok(()) };
+        let Stage::Open(open) = &mut client.stage else { return Ok(()) };
+        match message {
+            Message::Ping { mark } => {
+                let pong = Message::Pong { mark, clock_us: clock_us() }.bytes();
+                client.send(&frame(&pong), now)?;
+            }
+            Message::Hello { hands, record, .. } => {
+                let number = match open.sender {
+                    Some(number) => Ok(number),
+                    None if self.options.senders => self.room.enter().map_err(|_| Refusal::Full),
+                    None => Err(Refusal::Closed),
+                };
+                let number = match number {
+                    Ok(number) => number,
+                    Err(refusal) => {
+                        open.refused = true;
+                        return client.send(&frame(&Message::Refused { refusal }.bytes()), now);
+                    }
+                };
+                (open.sender, open.refused) = (Some(number), false);
+                client.send(&frame(&Message::Welcome { sender: number }.bytes()), now)?;
+                let told = self.room.announce(number, Hello { hands, record }).map_err(broken)?;
+                self.tell(&told);
+            }
+            Message::End { .. } => {
+                // The end of one who was no sender is nothing.
+                if let Some(number) = open.sender.take() {
                     let told = self.room.leave(number, Parting::Left);
                     self.tell(&told);
                 }
-                (Message::Intra { sender }, _) => {
-                    if self.room.may_ask(sender, now) {
-                        self.ask_intra(sender);
-                    }
-                }
-                // The end of one who was no sender.
-                (Message::End { .. }, None) => {}
-                (other, _) => return Err(broken(format!("nothing that a room is told: {}", other.kind()))),
             }
-        }
-        let sender = match self.clients.get(index) {
-            Some(Some(Client { stage: Stage::Open(open), .. })) => open.sender,
-            _ => None,
-        };
-        if let (Some(number), false) = (sender, planes.is_empty()) {
-            let deliveries = self.room.publish(number, planes).map_err(broken)?;
-            deliveries.iter().for_each(|delivery| self.deliver(delivery));
+            Message::Intra { sender } => {
+                if self.room.may_ask(sender, now) {
+                    self.ask_intra(sender);
+                }
+            }
+            other => return Err(nothing_told(other.kind())),
         }
         Ok(())
     }
@@ -487,7 +497,7 @@ impl Fanout {
                     now.duration_since(client.heard) > patience * options.silence
                 }
                 Stage::Request(_) => now.duration_since(client.since) > options.request_time,
-                Stage::Answer => now.duration_since(client.since) > 4 * options.request_time,
+                Stage::Answer => now.duration_since(client.since) > options.answer_time,
             };
             quiet || client.is_stuck(now, PATIENCE)
         };
@@ -499,6 +509,11 @@ impl Fanout {
             self.close(index);
         }
     }
+}
+
+/// What came is of a kind that only rooms say, or comes without a hello.
+fn nothing_told(kind: &str) -> io::Error {
+    broken(format!("nothing that a room is told: {kind}"))
 }
 
 /// A socket that listens; at `[::]` by IPv4 as well, which not every system does by itself.
@@ -525,13 +540,4 @@ fn is_out_of_handles(error: &io::Error) -> bool {
     // WSAEMFILE; ENFILE and EMFILE.
     let codes: &[i32] = if cfg!(windows) { &[10024] } else { &[23, 24] };
     error.raw_os_error().is_some_and(|code| codes.contains(&code))
-}
-
-fn answer_head(policy: &str, status: &str, kind: &str, length: usize, more: &str) -> String {
-    format!(
-        "HTTP/1.1 {status}\r\nContent-Type: {kind}\r\nContent-Length: {length}\r\nCache-Control: no-store\r\n\
-         X-Content-Type-Options: nosniff\r\nX-Frame-Options: DENY\r\nReferrer-Policy: no-referrer\r\n\
-         Cross-Origin-Resource-Policy: same-origin\r\nContent-Security-Policy: {policy}; frame-ancestors 'none'\r\n\
-         {more}Connection: close\r\n\r\n"
-    )
 }

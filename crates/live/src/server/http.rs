@@ -10,7 +10,7 @@ const MAX_HEADERS: usize = 64;
 #[derive(Debug, PartialEq, Eq)]
 pub(super) enum Reply {
     /// The page, or a part of it: its place in the list.
-    Part { index: usize, head_only: bool },
+    Part { index: usize, head_only: bool, gzip: bool },
     /// Another place.
     Moved(String),
     /// It becomes a WebSocket, by the answer to this key.
@@ -20,6 +20,7 @@ pub(super) enum Reply {
 }
 
 const BAD: Reply = Reply::Error(400, "Bad Request");
+pub(super) const NOT_FOUND: Reply = Reply::Error(404, "Not Found");
 const FORBIDDEN: Reply = Reply::Error(403, "Forbidden");
 
 /// What becomes of the request whose head is at the beginning of `bytes`, and how long the head is; none while it is
@@ -71,9 +72,26 @@ fn answer(request: &httparse::Request<'_, '_>, options: &ServerOptions) -> Reply
     // The page names its files as its neighbours.
     let name = if path == options.room { "" } else { path };
     match options.parts.iter().position(|part| part.name == name) {
-        Some(index) => Reply::Part { index, head_only: method == "HEAD" },
-        None => Reply::Error(404, "Not Found"),
+        Some(index) => Reply::Part { index, head_only: method == "HEAD", gzip: takes_gzip(request.headers) },
+        None => NOT_FOUND,
     }
+}
+
+/// Whether an answer may be gzipped (RFC 9110, 12.5.3): among the codings that are taken gzip is named, or any, and not with
+/// the weight 0.
+fn takes_gzip(headers: &[httparse::Header<'_>]) -> bool {
+    let fields = headers.iter().filter(|header| header.name.eq_ignore_ascii_case("accept-encoding"));
+    let codings =
+        fields.filter_map(|header| std::str::from_utf8(header.value).ok()).flat_map(|v| v.split(','));
+    let codings = codings.map(|coding| coding.split_once(';').unwrap_or((coding, "")));
+    let weight = |wanted: &str| {
+        let mut named = codings.clone().filter(|(name, _)| name.trim().eq_ignore_ascii_case(wanted));
+        named.next().map(|(_, weight)| match weight.trim().split_once('=') {
+            None => weight.trim().is_empty(),
+            Some((_, value)) => value.trim().parse().is_ok_and(|weight: f32| weight > 0.0),
+        })
+    };
+    weight("gzip").or_else(|| weight("*")).unwrap_or(false)
 }
 
 /// Whether a WebSocket key is what it has to be (RFC 6455, 4.1): 16 bytes as base64.
@@ -135,8 +153,8 @@ mod tests {
     fn pages_and_their_parts() {
         let options = options("", true);
         let get = |path: &str| ask(&options, &format!("GET {path} HTTP/1.1\r\nHost: localhost:1\r\n\r\n"));
-        assert_eq!(get("/r"), Reply::Part { index: 0, head_only: false });
-        assert_eq!(get("/a.js?x"), Reply::Part { index: 1, head_only: false });
+        assert_eq!(get("/r"), Reply::Part { index: 0, head_only: false, gzip: false });
+        assert_eq!(get("/a.js?x"), Reply::Part { index: 1, head_only: false, gzip: false });
         assert_eq!(get("/"), Reply::Moved("/r".into()));
         assert_eq!(get("/q"), Reply::Error(404, "Not Found"));
         assert_eq!(get("/../etc/passwd"), Reply::Error(404, "Not Found"));
@@ -148,6 +166,28 @@ mod tests {
             Reply::Error(405, "Method Not Allowed")
         );
         assert_eq!(ask(&options, "\x16\x03\x01\r\n\r\n"), BAD);
+    }
+
+    #[test]
+    fn what_may_be_gzipped() {
+        let options = options("", true);
+        for (fields, may) in [
+            ("", false),
+            ("Accept-Encoding: gzip, deflate, br, zstd\r\n", true),
+            ("Accept-Encoding: br;q=1.0, GZIP;q=0.001\r\n", true),
+            ("Accept-Encoding: br\r\naccept-encoding: gzip\r\n", true),
+            ("Accept-Encoding: *\r\n", true),
+            ("Accept-Encoding:\r\n", false),
+            ("Accept-Encoding: identity\r\n", false),
+            ("Accept-Encoding: xgzip, gzipx\r\n", false),
+            ("Accept-Encoding: gzip; q=0\r\n", false),
+            ("Accept-Encoding: *, gzip;q=0.000\r\n", false),
+            ("Accept-Encoding: *;q=0\r\n", false),
+            ("Accept-Encoding: gzip;q=much\r\n", false),
+        ] {
+            let found = ask(&options, &format!("HEAD /r HTTP/1.1\r\nHost: localhost\r\n{fields}\r\n"));
+            assert_eq!(found, Reply::Part { index: 0, head_only: true, gzip: may }, "{fields}");
+        }
     }
 
     #[test]
