@@ -21,6 +21,7 @@ use handcast_formats::unfinished::{Kind, Unfinished};
 use handcast_formats::whole::{Counted, WholeError, read_piped, read_whole};
 use handcast_hand::{MAX_GAP, PoseClip, Side};
 use handcast_limits::{Limit, Limits};
+use handcast_media::OpenOptions;
 use handcast_track::View;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
@@ -338,6 +339,11 @@ static LIMITS: OnceLock<Limits> = OnceLock::new();
 /// What inputs may make this run of the program hold or do.
 pub fn limits() -> &'static Limits {
     LIMITS.get_or_init(Limits::default)
+}
+
+/// How clips are opened: within the limits of this run.
+pub fn opening() -> OpenOptions {
+    OpenOptions::default().with_limits(limits().clone())
 }
 
 /// Limits of what is read; each is checked before memory is taken
