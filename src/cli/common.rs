@@ -19,7 +19,7 @@ use handcast_formats::motion::Format;
 use handcast_formats::mp4;
 use handcast_formats::unfinished::{Kind, Unfinished};
 use handcast_formats::whole::{Counted, WholeError, read_piped, read_whole};
-use handcast_hand::{MAX_GAP, PoseClip, Side};
+use handcast_hand::{MAX_FRAMES, MAX_GAP, PoseClip, Side};
 use handcast_limits::{Limit, Limits};
 use handcast_media::OpenOptions;
 use handcast_track::View;
@@ -359,7 +359,7 @@ pub struct LimitArgs {
         global = true,
         hide_short_help = true,
         value_name = "N",
-        value_parser = clap::value_parser!(u64).range(1..=10_000_000)
+        value_parser = clap::value_parser!(u64).range(1..=MAX_FRAMES as u64)
     )]
     max_instants: Option<u64>,
     /// Seconds of a motion [default: 86400]
