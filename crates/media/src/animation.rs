@@ -218,7 +218,7 @@ fn reader_of(
 fn whole_jpeg(path: &Path, file: File, limits: &Limits) -> Result<io::Take<BufReader<File>>, FrameError> {
     let io = |source| FrameError::Io { path: path.display().to_string(), source };
     let length = file.metadata().map_err(io)?.len();
-    let mut file = BufReader::new(file);
+    let mut file = BufReader::with_capacity(1 << 16, file);
     let Some(end) = end_of_jpeg(&mut file, limits.bytes).map_err(io)? else {
         // It may be that there is one behind as many bytes as allowed.
         limits

@@ -258,14 +258,15 @@ impl Lists {
         Ok(None)
     }
 
-    /// Where from `at` on, in this list, the next chunk begins that has a whole JPEG picture. What has been read ahead stays:
-    /// of damage there may be as much as of pictures.
+    /// Where from `from` on, in this list, the next chunk begins that has a whole JPEG picture. No more is read behind it than
+    /// was before it, or stays in the reader: there may be as many places of damage as pictures.
     fn look_for_picture(
         &self,
         reader: &mut BufReader<impl Read + Seek>,
-        mut at: u64,
+        from: u64,
     ) -> io::Result<Option<u64>> {
         const HEAD: usize = 10;
+        const FAR: u64 = 1 << 12;
         let end = self.end.min(self.length);
         let is_whole = |head: &[u8], at: u64| {
             let size = head.get(4..8).and_then(|size| <[u8; 4]>::try_from(size).ok()).map(u32::from_le_bytes);
@@ -273,21 +274,31 @@ impl Lists {
                 && self.is_picture(head)
                 && size.is_some_and(|size| size > 0 && at + 8 + u64::from(size) <= end)
         };
+        let (mut at, mut pieces) = (from, Vec::new());
         while at + (HEAD as u64) < end {
             go_to(reader, at)?;
-            if reader.buffer().len() < HEAD {
-                // What is left of it is read once more, with what is behind.
-                reader.seek(SeekFrom::Start(at))?;
-            }
-            let block = reader.fill_buf()?;
-            let found = (at..).zip(block.windows(HEAD)).find(|(at, head)| is_whole(head, *at));
+            let piece = match at - from {
+                ..FAR => {
+                    if reader.buffer().len() < HEAD {
+                        // What is left of it is read once more, with what is behind.
+                        reader.seek(SeekFrom::Start(at))?;
+                    }
+                    reader.fill_buf()?
+                }
+                far => {
+                    pieces.clear();
+                    reader.by_ref().take(far.min(1 << 16)).read_to_end(&mut pieces)?;
+                    &pieces
+                }
+            };
+            let found = (at..).zip(piece.windows(HEAD)).find(|(at, head)| is_whole(head, *at));
             if let Some((found, _)) = found {
                 return Ok(Some(found));
             }
-            if block.len() < HEAD {
+            if piece.len() < HEAD {
                 break;
             }
-            at += (block.len() + 1 - HEAD) as u64;
+            at += (piece.len() + 1 - HEAD) as u64;
         }
         Ok(None)
     }
