@@ -134,10 +134,13 @@ fn the_tracks_of_a_clip_come_along_untouched() {
     }
 }
 
+/// Rows of a table.
+type Rows<'a> = &'a [[i32; 2]];
+
 /// A file of 600 ticks a second with a track of pictures of 1000 that lasts 1200 of the movie's: its edits (duration, where it
 /// begins), and the runs of the steps and shifts of its samples.
-fn timed(edits: &[[i32; 2]], steps: &[[i32; 2]], shifts: &[[i32; 2]]) -> Vec<u8> {
-    let rows = |out: &mut Out, kind: &[u8; 4], rows: &[[i32; 2]], more: &[i32]| {
+fn timed(edits: Rows<'_>, steps: Rows<'_>, shifts: Rows<'_>) -> Vec<u8> {
+    let rows = |out: &mut Out, kind: &[u8; 4], rows: Rows<'_>, more: &[i32]| {
         out.full(kind, 0, |out| {
             out.u32(rows.len() as u32);
             rows.iter().for_each(|row| row.iter().chain(more).for_each(|v| out.u32(v.cast_unsigned())));
@@ -174,7 +177,7 @@ fn pictures_start_where_the_first_one_is_shown() {
     let even = [[50, 40]];
     // Of pictures that are decoded before those shown ahead of them; the second is shown first.
     let shifts = [[1, 120], [1, 40], [48, 80]];
-    let cases: [(&[[i32; 2]], &[[i32; 2]], f64); 11] = [
+    let cases: [(Rows<'_>, Rows<'_>, f64); 11] = [
         (&[], &[], 0.0),
         (&[], &shifts, 0.08),
         (&[[1200, 0]], &shifts, 0.08),
@@ -193,7 +196,7 @@ fn pictures_start_where_the_first_one_is_shown() {
         let found = pictures_start_at(&timed(edits, &even, shifts));
         assert!((found - expected).abs() < 1e-9, "{edits:?} {shifts:?}: {found}, {expected}");
     }
-    let end = |edits: &[[i32; 2]]| pictures_end_at(&timed(edits, &even, &shifts)).unwrap();
+    let end = |edits: Rows<'_>| pictures_end_at(&timed(edits, &even, &shifts)).unwrap();
     assert!((end(&[]) - 2.08).abs() < 1e-9 && (end(&[[1200, 80]]) - 2.0).abs() < 1e-9);
     // Neither memory nor time is that of what tables say.
     assert_eq!(pictures_start_at(&timed(&[[1, i32::MAX]], &[[-1, 1]; 1000], &[[-1, -1]; 1000])), 0.0);
