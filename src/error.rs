@@ -33,6 +33,7 @@ impl Error {
     pub fn kind(&self) -> ErrorKind {
         match self {
             Self::Frames(error) | Self::Track(ClipError::Frames(error)) => of_frames(error),
+            Self::Track(ClipError::Excess(_)) => ErrorKind::Limit,
             Self::Track(error) => match error {
                 ClipError::Empty
                 | ClipError::Learn { .. }

@@ -9,7 +9,7 @@ use handcast_fba::plan::{PlanOptions, Target};
 use handcast_gltf::{ExportOptions, Skins};
 use handcast_hand::{Morphology, Person, PoseClip};
 use handcast_media::{OpenOptions, open};
-use handcast_track::pipeline::{ClipOptions, ClipSink, TrackedFrame, track_clip};
+use handcast_track::pipeline::{ClipOptions, track_clip};
 
 use crate::Error;
 
@@ -20,14 +20,8 @@ use crate::Error;
 /// # Errors
 /// [`Error::Frames`] and [`Error::Track`].
 pub fn track(input: impl AsRef<Path>) -> Result<PoseClip, Error> {
-    struct Silent;
-    impl ClipSink for Silent {
-        fn tracked(&mut self, _: TrackedFrame<'_>) -> Result<(), String> {
-            Ok(())
-        }
-    }
     let source = open(input, &OpenOptions::default())?;
-    let clip = track_clip(source, None, &ClipOptions::default(), &mut Silent)?;
+    let clip = track_clip(source, None, &ClipOptions::default(), &mut ())?;
     Ok(PoseClip { header: clip.header(), frames: clip.poses() })
 }
 

@@ -19,8 +19,9 @@ use handcast_formats::motion::Format;
 use handcast_formats::mp4;
 use handcast_formats::unfinished::{Kind, Unfinished};
 use handcast_formats::whole::{Counted, WholeError, read_piped, read_whole};
-use handcast_hand::{MAX_GAP, PoseClip, Side};
+use handcast_hand::{MAX_FRAMES, MAX_GAP, PoseClip, Side};
 use handcast_limits::{Limit, Limits};
+use handcast_media::OpenOptions;
 use handcast_track::View;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
@@ -340,6 +341,11 @@ pub fn limits() -> &'static Limits {
     LIMITS.get_or_init(Limits::default)
 }
 
+/// How clips are opened: within the limits of this run.
+pub fn opening() -> OpenOptions {
+    OpenOptions::default().with_limits(limits().clone())
+}
+
 /// Limits of what is read; each is checked before memory is taken
 #[derive(Debug, clap::Args)]
 #[command(next_help_heading = "Limits")]
@@ -353,7 +359,7 @@ pub struct LimitArgs {
         global = true,
         hide_short_help = true,
         value_name = "N",
-        value_parser = clap::value_parser!(u64).range(1..=10_000_000)
+        value_parser = clap::value_parser!(u64).range(1..=MAX_FRAMES as u64)
     )]
     max_instants: Option<u64>,
     /// Seconds of a motion [default: 86400]

@@ -166,7 +166,8 @@ fn found(args: &Args, path: &Path) -> anyhow::Result<PoseClip> {
     let (source, masks) = args.track.open(path, args.input_fps)?;
     let track = args.track.options(source.info())?;
     let bar = args.track.progress(path, source.as_ref());
-    let measured = measure_clip(source, masks, &track, None, &mut |read| bar.set_position(read as u64))?;
+    let measured = measure_clip(source, masks, &track, None, &mut |read| bar.set_position(read as u64))
+        .with_context(|| path.display().to_string())?;
     bar.finish_and_clear();
     tell_shortfall(path, measured.clip.shortfall.as_deref());
     Ok(PoseClip { header: measured.clip.header(), frames: measured.clip.poses() })
@@ -183,7 +184,8 @@ fn tracked(
     let (source, masks) = args.track.open(path, args.input_fps)?;
     let track = args.track.options(source.info())?;
     let bar = args.track.progress(path, source.as_ref());
-    let mut measured = measure_clip(source, masks, &track, truth, &mut |read| bar.set_position(read as u64))?;
+    let mut measured = measure_clip(source, masks, &track, truth, &mut |read| bar.set_position(read as u64))
+        .with_context(|| path.display().to_string())?;
     bar.finish_and_clear();
     tell_shortfall(path, measured.clip.shortfall.as_deref());
     if measured.seam.hands > 1 {

@@ -8,14 +8,13 @@ use handcast_formats::atomic::AtomicFile;
 use handcast_formats::person::{check_name, write_person};
 use handcast_hand::anthropometry::{Bounds, CONSTRAINTS, Measure, check};
 use handcast_hand::{Finger, Person};
-use handcast_media::OpenOptions;
 use handcast_render::draw_stages;
 use handcast_track::pipeline::{Stages, StillFit, StillOptions, StillTimings, fit_still};
 use handcast_track::{Fit, View};
 use image::RgbImage;
 use image::codecs::png::PngEncoder;
 
-use super::common::{FaceOrAuto, HandOrAuto, field_of_view, hand_length};
+use super::common::{FaceOrAuto, HandOrAuto, field_of_view, hand_length, opening};
 
 /// Measures a person's hand in one picture of it, fingers spread, and writes a person file
 #[derive(Debug, clap::Args)]
@@ -96,7 +95,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
 }
 
 fn picture(path: &Path, frame: usize) -> anyhow::Result<RgbImage> {
-    let mut source = handcast_media::open(path, &OpenOptions::default())?;
+    let mut source = handcast_media::open(path, &opening())?;
     let mut read = 0;
     while let Some(next) = source.next_frame()? {
         if next.index == frame {

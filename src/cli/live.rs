@@ -20,9 +20,9 @@ use handcast_hand::smooth::SmoothOptions;
 use handcast_live::page;
 use handcast_live::sender::{LivePoseEncoderOptions, PoseSender};
 use handcast_live::server::{Server, ServerOptions, Tls, check_room, random_token};
-use handcast_media::{Address, CameraOptions, ClipInfo, OpenOptions, cameras};
+use handcast_media::{Address, CameraOptions, ClipInfo, cameras};
 
-use super::common::ProfileArg;
+use super::common::{ProfileArg, opening};
 use super::ending::told_to_stop;
 use super::given;
 use super::tracking::TrackArgs;
@@ -177,7 +177,7 @@ impl Args {
     }
 
     fn source(&self) -> anyhow::Result<Source> {
-        let open = OpenOptions::default().with_rate(self.input_fps);
+        let open = opening().with_rate(self.input_fps);
         let camera = CameraOptions::default().with_size(self.size).with_rate(self.input_fps);
         let piped = self.source.as_deref() == Some(Path::new("-"));
         let gone = match self.source.as_deref().map(Address::of).transpose()?.flatten() {

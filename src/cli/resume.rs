@@ -8,7 +8,6 @@ use anyhow::{Context, bail};
 use handcast_formats::atomic::AtomicFile;
 use handcast_formats::poses::{PoseReader, write_lines};
 use handcast_hand::{ClipHand, PoseClip, PoseHeader, Side};
-use handcast_limits::Limit;
 use handcast_media::{ClipInfo, Frame, FrameError, FrameSource};
 
 use super::common::{limits, read_input};
@@ -172,10 +171,9 @@ pub struct Newest {
 }
 
 impl Newest {
-    /// The clip at `path`, whose frames set the time; where there are more than a motion may have it ends with an error.
-    pub fn watch(&self, path: &Path, source: Box<dyn FrameSource>) -> Box<dyn FrameSource> {
-        let name = path.display().to_string();
-        Box::new(Watched { source, name, count: 0, first: 0.0, newest: self.clone() })
+    /// A clip whose frames set the time.
+    pub fn watch(&self, source: Box<dyn FrameSource>) -> Box<dyn FrameSource> {
+        Box::new(Watched { source, newest: self.clone() })
     }
 
     /// Seconds; 0 before the first frame.
@@ -192,10 +190,6 @@ impl Newest {
 /// A clip that tells how far it has been read.
 struct Watched {
     source: Box<dyn FrameSource>,
-    name: String,
-    /// Frames so far, and the time of the first.
-    count: usize,
-    first: f64,
     newest: Newest,
 }
 
@@ -211,15 +205,7 @@ impl FrameSource for Watched {
     fn next_frame(&mut self) -> Result<Option<Frame>, FrameError> {
         let frame = self.source.next_frame()?;
         match &frame {
-            Some(frame) => {
-                self.first = if self.count == 0 { frame.time } else { self.first };
-                self.count += 1;
-                let counted = limits().check_count(Limit::Instants, self.count);
-                counted
-                    .and_then(|()| limits().check(Limit::Seconds, frame.time - self.first))
-                    .map_err(|excess| FrameError::Excess { path: self.name.clone(), excess })?;
-                self.newest.time.store(frame.time.to_bits(), Ordering::Relaxed);
-            }
+            Some(frame) => self.newest.time.store(frame.time.to_bits(), Ordering::Relaxed),
             None => {
                 let shortfall = self.source.shortfall();
                 shortfall.into_iter().for_each(|told| drop(self.newest.shortfall.set(told)));

@@ -12,18 +12,20 @@ use handcast_hand::clip::MAX_RATE;
 use handcast_hand::landmarks::LANDMARKS_21;
 use handcast_hand::smooth::SmoothOptions;
 use handcast_hand::{ClipHand, Morphology, Person, PoseClip, PoseHeader, Side, TimedPose};
-use handcast_limits::Limit;
-use handcast_media::{ClipInfo, FrameSource, OpenOptions, Part};
+use handcast_media::{ClipInfo, FrameSource, Part};
 use handcast_net::files::Bundle;
 use handcast_net::hands::{NetFinder, NetFinderOptions};
 use handcast_track::pipeline::{
-    ClipEnd, ClipError, ClipOptions, ClipSink, FinderSource, HandStart, Start, TrackedFrame, track_frames,
+    ClipEnd, ClipError, ClipOptions, ClipSink, FinderSource, HandStart, Start, TrackedFrame, check_length,
+    track_frames,
 };
 use handcast_vision::VisionError;
 use handcast_vision::sighting::{ReadySightings, Region, Sighting};
 use indicatif::{ProgressBar, ProgressStyle};
 
-use super::common::{FaceOrAuto, HandOrAuto, field_of_view, hand_length, limits, progress, tell_shortfall};
+use super::common::{
+    FaceOrAuto, HandOrAuto, field_of_view, hand_length, limits, opening, progress, tell_shortfall,
+};
 use super::given;
 use super::length;
 use super::message;
@@ -219,14 +221,6 @@ fn check_masks(masks: &Path, have: &ClipInfo, clip: &Path, want: &ClipInfo) -> a
     bail!("{}: {have} masks for the {frames} frames of {}", masks.display(), clip.display());
 }
 
-/// That a clip is no longer than a motion may be, where it is known before it is read.
-fn check_length(path: &Path, clip: &dyn FrameSource) -> anyhow::Result<()> {
-    let Some(times) = clip.times() else { return Ok(()) };
-    let seconds = times.first().zip(times.last()).map_or(0.0, |(first, last)| last - first);
-    let counted = limits().check_count(Limit::Instants, times.len());
-    counted.and_then(|()| limits().check(Limit::Seconds, seconds)).with_context(|| path.display().to_string())
-}
-
 /// Probability of a side that a file of landmarks names.
 const SURE: f64 = 0.98;
 /// Joints that move by less than this share of the hand's length from frame to frame are looked for in every second
@@ -278,7 +272,6 @@ impl TrackArgs {
     ) -> anyhow::Result<Tracked> {
         let begun = Instant::now();
         let (mut source, masks) = self.open_part(path, rate, part)?;
-        check_length(path, source.as_ref())?;
         let (finder, named) = self.finder(source.info())?.unzip();
         let mut options = self.options_with(finder)?;
         let work = self.work(path, source.info(), part, named, options.person.clone());
@@ -302,7 +295,7 @@ impl TrackArgs {
                 sink.journal = Some((work, newest.clone()));
             }
         }
-        let end = track_frames(newest.watch(path, source), masks, &options, &mut sink);
+        let end = track_frames(newest.watch(source), masks, &options, &mut sink);
         let end = end.map_err(|error| advised(error, path, by_colours, newest.shortfall()))?;
         tell_shortfall(path, end.shortfall.as_deref());
         if end.further > 0 {
@@ -368,10 +361,12 @@ impl TrackArgs {
 
     /// Opens a part of a clip, and the masks of all of it.
     fn open_part(&self, path: &Path, rate: f64, part: Part) -> anyhow::Result<Frames> {
-        let open = OpenOptions::default().with_rate(rate);
+        let open = opening().with_rate(rate);
         // Masks are told by numbers.
         let part = Part { numbered: self.mask.is_some(), ..part };
         let source = handcast_media::open(path, &open.clone().with_part(part))?;
+        // Before networks are loaded, and of all of it where the rest alone is tracked.
+        check_length(source.as_ref(), limits()).with_context(|| path.display().to_string())?;
         given::note_idle_rate(path.display(), source.info().rate, rate, "input_fps");
         if let Some(rate) = source.info().rate.filter(|rate| *rate > MAX_RATE) {
             bail!("{}: {rate} pictures per second, allowed are up to {MAX_RATE}", path.display());
@@ -413,6 +408,7 @@ impl TrackArgs {
         }
         options.field_of_view = self.fov;
         options.finder = finder;
+        options.limits = limits().clone();
         Ok(options)
     }
 }

@@ -7,10 +7,9 @@ use std::thread::Builder;
 use std::time::Duration;
 
 use anyhow::Context;
-use handcast_media::OpenOptions;
 use handcast_view::{Film, Pictures, Show, Video, bind, page, picture_side, serve, times};
 
-use super::common::{tell_shortfall, told_kind, write_output};
+use super::common::{opening, tell_shortfall, told_kind, write_output};
 use super::ending::ends_well;
 use super::motion::MotionArgs;
 use super::usage::positive;
@@ -101,7 +100,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
 /// The clip as the page shows it.
 fn read_clip(path: &Path, args: &Args, times: &[f64]) -> anyhow::Result<Video> {
     let side = args.clip_size.unwrap_or_else(|| picture_side(times.len()));
-    let options = OpenOptions::default().with_rate(args.input_fps).with_max_side(side);
+    let options = opening().with_rate(args.input_fps).with_max_side(side);
     let mut source = handcast_media::open(path, &options)?;
     let name = || path.display().to_string();
     // A size is asked for of pictures.

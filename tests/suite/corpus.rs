@@ -8,7 +8,8 @@ use std::sync::OnceLock;
 use std::time::{Duration, Instant, SystemTime};
 
 use crate::common::command::{done, handcast, path, refused, text};
-use handcast_corpus::{Choice, Corpus, Settings};
+use handcast_corpus::{Choice, Corpus, Outcome, Settings, Worker};
+use handcast_limits::Limits;
 use serde_json::Value;
 use sha2::{Digest, Sha256};
 
@@ -304,6 +305,95 @@ fn what_has_changed_is_done_anew_and_nothing_else() {
     assert_eq!(run(&["--quant", "12"]), [2, 0, 1]);
     assert!(!out.join("streams/a/b/fist.jsonl.fba").exists());
     assert_eq!(count(&out.join("manifest.jsonl")), 3);
+}
+
+/// The limit is of single files, and bytes beyond it are not written, as on a disk that is full; bash counts it in KiB.
+#[cfg(target_os = "linux")]
+#[test]
+fn a_full_disk_leaves_whole_lines_and_the_next_run_goes_on() {
+    let folder = tempfile::tempdir().unwrap();
+    let (input, out) = (folder.path().join("in"), folder.path().join("out"));
+    fs::create_dir_all(&input).unwrap();
+    let manifest = out.join("manifest.jsonl");
+    for i in 0..40 {
+        fs::copy("fixtures/demo.poses.jsonl", input.join(format!("{i:02}.jsonl"))).unwrap();
+    }
+    let limited = "trap '' XFSZ; ulimit -f 8; exec \"$0\" corpus \"$1\" -o \"$2\" --jobs 2";
+    let run = Command::new("bash")
+        .args(["-c", limited, env!("CARGO_BIN_EXE_handcast"), path(&input), path(&out)])
+        .env("HANDCAST_NET", "none")
+        .output()
+        .unwrap();
+    assert!(!run.status.success());
+    let said = text(&run.stderr);
+    assert!(said.contains("manifest.jsonl: File too large"), "{said}");
+    let (left, count) = (fs::read(&manifest).unwrap(), names(&manifest).len());
+    assert!(left.len() <= 8 << 10 && left.ends_with(b"}\n") && (4..40).contains(&count), "{count}");
+    done(&["corpus", path(&input), "-o", path(&out)]);
+    assert_eq!(names(&manifest).len(), 40);
+}
+
+/// A clip of grey pictures, in which there is no hand.
+fn grey(frames: usize) -> Vec<u8> {
+    use handcast_media::avi::MjpegWriter;
+    let picture = image::RgbImage::from_pixel(64, 48, image::Rgb([90; 3]));
+    let mut writer = MjpegWriter::new(std::io::Cursor::new(Vec::new()), (64, 48), (25, 1), 90).unwrap();
+    (0..frames).for_each(|_| writer.write(&picture).unwrap());
+    writer.finish().unwrap().into_inner()
+}
+
+#[test]
+fn limits_hold_before_the_work_and_those_of_bytes_are_not_of_clips() {
+    let folder = tempfile::tempdir().unwrap();
+    let (input, out) = (folder.path().join("in"), folder.path().join("out"));
+    inputs(&input, 1);
+    fs::write(input.join("grey.avi"), grey(120)).unwrap();
+    let most = ["--max-instants", "100", "--max-bytes", "1K"];
+    done(&[&["corpus", path(&input), "-o", path(&out)], &most[..]].concat());
+    assert_eq!(names(&out.join("manifest.jsonl")), ["a/clip-00.avi"]);
+    let failures = lines(&out.join("failures.jsonl"));
+    let error = |name: &str| {
+        let line = failures.iter().find(|line| line["name"] == name).unwrap();
+        line["error"].as_str().unwrap().to_owned()
+    };
+    // Tracking would tell that there is no hand.
+    assert_eq!(error("grey.avi"), "120 instants, allowed at most 100");
+    assert!(error("a/b/fist.jsonl").ends_with("bytes, allowed at most 1024"));
+    assert_eq!(failures.len(), 4);
+
+    let clip = input.join("grey.avi");
+    let fidelity = handcast(&["fidelity", path(&clip), "--max-instants", "100"]);
+    let said = text(&fidelity.stderr);
+    assert!(
+        said.contains("grey.avi: 120 instants, allowed at most 100; --max-instants raises that"),
+        "{said}"
+    );
+}
+
+#[test]
+fn clips_are_opened_within_the_limits_of_a_worker() {
+    let folder = tempfile::tempdir().unwrap();
+    let (input, out) = (folder.path().join("in"), folder.path().join("out"));
+    fs::create_dir(&input).unwrap();
+    fs::write(input.join("grey.avi"), grey(30)).unwrap();
+    let settings = Settings::default();
+    let corpus = Corpus::open(&input, &out, &settings, &Choice::default()).unwrap();
+    let error = |limits: Limits| {
+        let worker = Worker::new(&input, &out, &settings).with_limits(limits);
+        match worker.work(&corpus.todo()[0]).unwrap() {
+            Outcome::Failed(failure) => failure.error,
+            Outcome::Done(_) => panic!("there is no hand in it"),
+        }
+    };
+    let limits = Limits::default();
+    assert!(error(limits.clone()).contains("no hand"));
+    let told = error(limits.clone().with_pixels(3000));
+    assert!(
+        told.contains("picture of 64 x 48 pixels; allowed are 1 to 16384 a side and 3000 in all"),
+        "{told}"
+    );
+    let told = error(limits.with_pictures(20));
+    assert!(told.ends_with("21 pictures, allowed at most 20"), "{told}");
 }
 
 #[test]

@@ -393,10 +393,43 @@ fn jpegs_that_are_cut_are_refused() {
     };
     let whole = fs::read(&path).unwrap();
     assert!(read(&whole).unwrap().is_some());
-    // Cameras leave things behind the picture.
-    assert!(read(&[&whole[..], &[0; 100]].concat()).unwrap().is_some());
+    // Cameras leave things behind the picture: zeros, a film that may begin and end like one, another picture.
+    let film = [&b"\0\0\0\x18ftypmp42"[..], &[0xff, 0xd9, 7, 0xff, 0xda, 7]].concat();
+    for behind in [&[0; 100][..], &film, &whole, &whole[..whole.len() / 2]] {
+        assert!(read(&[&whole[..], behind].concat()).unwrap().is_some());
+    }
+    // A picture within it has an end of its own: a preview, which programs for pictures keep.
+    let preview = [&[0xff, 0xd8, 0xff, 0xe1][..], &(whole.len() as u16 + 2).to_be_bytes(), &whole].concat();
+    assert!(read(&[&preview[..], &whole[2..]].concat()).unwrap().is_some());
+    let error = read(&[&preview[..], &whole[2..whole.len() - 9]].concat()).unwrap_err();
+    assert!(error.to_string().contains("it has no end"), "{error}");
     for share in [0.5, 0.8, 0.99] {
         let error = read(&whole[..(share * whole.len() as f64) as usize]).unwrap_err();
         assert!(error.to_string().contains("it has no end"), "{error}");
     }
+}
+
+/// A sparse file takes no room on the disk.
+#[cfg(unix)]
+#[test]
+fn jpegs_are_read_as_far_as_they_go_and_no_more_bytes_than_allowed() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("a.jpg");
+    picture(1).save(&path).unwrap();
+    let whole = fs::metadata(&path).unwrap().len();
+    let lengthen = |bytes| fs::File::options().write(true).open(&path).unwrap().set_len(bytes).unwrap();
+    let read = |bytes| {
+        let limits = handcast_limits::Limits::default().with_bytes(bytes);
+        open(&path, &OpenOptions::default().with_limits(limits))?.next_frame()
+    };
+    lengthen(3 << 29);
+    assert!(read(whole).unwrap().is_some());
+    let told = |error: FrameError| error.to_string();
+    let expected = format!("1610612736 bytes, allowed at most {}", whole - 1);
+    assert!(told(read(whole - 1).unwrap_err()).ends_with(&expected));
+    // The end is cut off, and zeros follow.
+    lengthen(whole - 2);
+    lengthen(1 << 24);
+    assert!(told(read(1 << 30).unwrap_err()).contains("it has no end"));
+    assert!(told(read(1 << 23).unwrap_err()).ends_with("16777216 bytes, allowed at most 8388608"));
 }

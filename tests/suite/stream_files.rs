@@ -281,3 +281,40 @@ fn a_clip_comes_along_untouched() {
     assert!(flags.iter().filter(|&&sync| sync).count() >= 2, "{sync}");
     assert_eq!(Motion::read(&both).unwrap().clip.frames.len(), 150);
 }
+
+/// B pictures are shown later than they are decoded; an edit list takes that back, where there is one.
+#[cfg(feature = "h264")]
+#[test]
+#[ignore = "needs ffmpeg and ffprobe"]
+fn the_stream_begins_with_the_first_picture_of_the_clip_beside_it() {
+    use handcast_media::FrameSource as _;
+    let (folder, poses) = folder();
+    let at = |name: &str| folder.path().join(name);
+    let coded = ["-t", "4", "-c:v", "libx264", "-preset", "ultrafast", "-pix_fmt", "yuv420p"];
+    let cases: [(&[&str], f64); 4] = [
+        (&["-vf", "fps=10", "-bf", "0"], 0.0),
+        (&["-vf", "fps=10", "-bf", "3"], 0.0),
+        (&["-vf", "fps=10", "-bf", "3", "-use_editlist", "0"], 0.2),
+        (&["-vf", "fps=10,setpts=PTS+1.5/TB", "-bf", "3"], 1.5),
+    ];
+    for (how, expected) in cases {
+        let (clip, both) = (at("clip.mp4"), at("both.mp4"));
+        let made = Command::new("ffmpeg")
+            .args(["-nostdin", "-v", "error", "-y"])
+            .args(["-i", "fixtures/demo.avi"])
+            .args(coded)
+            .args(how)
+            .arg(&clip)
+            .output()
+            .unwrap();
+        assert!(made.status.success(), "{}", text(&made.stderr));
+        let told = handcast_media::open(&clip, &Default::default()).unwrap().info().start;
+        assert!((told - expected).abs() < 2e-3, "{how:?}: {told}");
+        done(&["encode", path(&poses), "-o", path(&both), "--clip", path(&clip), "-q"]);
+        let starts = probed(&both, &["-show_entries", "stream=start_time", "-of", "csv=p=0"]);
+        let starts: Vec<f64> =
+            starts.lines().map(|line| line.trim_end_matches(',').parse().unwrap()).collect();
+        assert_eq!(starts.len(), 2);
+        assert!(starts.iter().all(|start| (start - expected).abs() < 2e-3), "{how:?}: {starts:?}");
+    }
+}

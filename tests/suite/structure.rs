@@ -20,7 +20,7 @@ const USES: [(&str, &[&str]); 19] = [
     ("vision", &["picture"]),
     ("net", &["vision"]),
     ("vmc", &["hand"]),
-    ("track", &["hand", "media", "picture", "vision"]),
+    ("track", &["hand", "limits", "media", "picture", "vision"]),
     ("render", &["hand", "picture", "track", "vision"]),
     ("view", &["formats", "hand", "js", "limits", "media", "picture"]),
     ("live", &["codec", "fba", "hand", "js"]),

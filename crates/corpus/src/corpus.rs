@@ -248,6 +248,10 @@ impl Corpus {
             let threads: Vec<_> = (0..jobs.clamp(1, todo.len().max(1))).map(|_| work()).collect();
             drop(sender);
             for (index, outcome) in receiver {
+                if failed.is_some() {
+                    // What others have done by now is for the next run to do.
+                    continue;
+                }
                 let kept = outcome.and_then(|outcome| {
                     self.record(&outcome)?;
                     if let Some(item) = todo.get(index) {
@@ -257,8 +261,7 @@ impl Corpus {
                 });
                 if let Err(error) = kept {
                     stop.store(true, Ordering::Relaxed);
-                    // The first is what it ended on.
-                    failed.get_or_insert(error);
+                    failed = Some(error);
                 }
             }
             for thread in threads {

@@ -114,12 +114,15 @@ impl Ledger {
         Ok(Self { path: path.into() })
     }
 
-    /// Adds a line, in one step.
+    /// Adds a line, in one step: all of it, or, where the disk is full, nothing.
     pub fn add(&mut self, line: &impl Serialize) -> Result<(), CorpusError> {
         let add = || -> io::Result<()> {
             let mut bytes = Vec::new();
             write_line(&mut bytes, line)?;
-            OpenOptions::new().append(true).open(&self.path)?.write_all(&bytes)
+            let mut file = OpenOptions::new().write(true).open(&self.path)?;
+            let end = file.seek(SeekFrom::End(0))?;
+            // The next line would go on with what there is of this one.
+            file.write_all(&bytes).inspect_err(|_| drop(file.set_len(end)))
         };
         add().map_err(|error| wrong(&self.path, error))
     }

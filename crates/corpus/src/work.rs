@@ -11,9 +11,9 @@ use handcast_formats::motion::{Format, Motion, at_even_times, check_span};
 use handcast_formats::mp4;
 use handcast_formats::whole::read_whole;
 use handcast_hand::PoseClip;
-use handcast_limits::{Limit, Limits};
+use handcast_limits::Limits;
 use handcast_media::{OpenOptions, open};
-use handcast_track::pipeline::{ClipOptions, ClipSink, FinderSource, TrackedFrame, track_clip};
+use handcast_track::pipeline::{ClipOptions, FinderSource, track_clip};
 use sha2::{Digest, Sha256};
 
 use crate::corpus::{CorpusError, digest_of};
@@ -61,14 +61,6 @@ fn told(error: &dyn std::error::Error) -> Reason {
     text
 }
 
-struct Silent;
-
-impl ClipSink for Silent {
-    fn tracked(&mut self, _: TrackedFrame<'_>) -> Result<(), String> {
-        Ok(())
-    }
-}
-
 impl Worker {
     /// A worker for inputs below `input`, with streams below `output`.
     pub fn new(input: impl Into<PathBuf>, output: impl Into<PathBuf>, settings: &Settings) -> Self {
@@ -93,6 +85,7 @@ impl Worker {
     /// Sets what an input may make it hold or do.
     #[must_use]
     pub fn with_limits(mut self, limits: Limits) -> Self {
+        self.track.limits = limits.clone();
         self.limits = limits;
         self
     }
@@ -152,10 +145,12 @@ impl Worker {
 
     fn made(&self, path: &Path, sha256: &mut Option<String>) -> Result<Made, Reason> {
         let bytes = std::fs::metadata(path).map_err(|error| told(&error))?.len();
-        self.limits.check(Limit::Bytes, bytes as f64).map_err(|excess| excess.to_string())?;
         let is_mp4 = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("mp4"));
         if Format::by_name(path).is_some() || is_mp4 && bytes <= mp4::STREAM_ALONE_BYTES {
-            let content = read_whole(path, &self.limits).map_err(|error| told(&error))?;
+            // Of a clip, which an MP4 file may be as well, any number of bytes is allowed.
+            let most = if is_mp4 { mp4::STREAM_ALONE_BYTES } else { self.limits.bytes };
+            let content =
+                read_whole(path, &self.limits.clone().with_bytes(most)).map_err(|error| told(&error))?;
             *sha256 = Some(hex(&Sha256::digest(&content)));
             if !is_mp4 || mp4::is_stream_alone(&content) {
                 let motion =
@@ -166,8 +161,9 @@ impl Worker {
         } else {
             *sha256 = Some(digest_of(path).map_err(|error| told(&error))?);
         }
-        let source = open(path, &OpenOptions::default()).map_err(|error| told(&error))?;
-        let tracked = track_clip(source, None, &self.track, &mut Silent).map_err(|error| told(&error))?;
+        let source = open(path, &OpenOptions::default().with_limits(self.limits.clone()))
+            .map_err(|error| told(&error))?;
+        let tracked = track_clip(source, None, &self.track, &mut ()).map_err(|error| told(&error))?;
         let clip = PoseClip { header: tracked.header(), frames: tracked.poses() };
         let shortfall = tracked.shortfall;
         drop((tracked.hands, tracked.times));

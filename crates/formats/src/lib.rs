@@ -1,4 +1,4 @@
-//! Frame sources, and the formats of motions and persons.
+//! The formats of motions and persons.
 
 pub mod atomic;
 mod batches;

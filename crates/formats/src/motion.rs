@@ -46,7 +46,9 @@ use handcast_fba::{DecoderOptions, FrameRate};
 use handcast_gltf::{ExportOptions, GltfError};
 use handcast_hand::clip::MAX_RATE;
 use handcast_hand::landmarks::LandmarkError;
-use handcast_hand::{FrameCheck, JointAngle, Morphology, PoseClip, PoseHeader, Side, Skeleton, TimedPose};
+use handcast_hand::{
+    FrameCheck, JointAngle, MAX_FRAMES, Morphology, PoseClip, PoseHeader, Side, Skeleton, TimedPose,
+};
 use handcast_limits::{Excess, Limit, Limits};
 
 pub use bvh::{BvhError, read_bvh, write_bvh};
@@ -430,13 +432,19 @@ pub struct SpanError {
     pub excess: Excess,
 }
 
-/// Makes sure that `rate` makes no more instants of a clip than allowed.
+/// Makes sure that `rate` makes no more instants of a clip than allowed, and than are ever made ([`MAX_FRAMES`]).
 ///
 /// # Errors
 /// [`SpanError`].
 pub fn check_span(clip: &PoseClip, rate: f64, limits: &Limits) -> Result<(), SpanError> {
     let seconds = span(clip);
-    limits.check_span(seconds, rate).map_err(|excess| SpanError { rate, seconds, excess })
+    // The last one is none of the steps.
+    let instants = limits.instants.min(MAX_FRAMES as u64 - 1);
+    limits.clone().with_instants(instants).check_span(seconds, rate).map_err(|excess| SpanError {
+        rate,
+        seconds,
+        excess,
+    })
 }
 
 /// Highest rate of [`at_even_times`], frames per second: what a stream has.
@@ -661,11 +669,13 @@ pub(crate) struct Ticks {
 
 impl Ticks {
     /// # Errors
-    /// [`WriteError::Rate`]; [`WriteError::Empty`] without a valid pose.
+    /// [`WriteError::Rate`]; [`WriteError::Excess`] of instants; [`WriteError::Empty`] without a valid pose.
     pub fn of(clip: &PoseClip, rate: f64) -> Result<Self, WriteError> {
         if !(rate > 0.0 && rate <= MAX_RATE) {
             return Err(WriteError::Rate { rate });
         }
+        let most = Limits::default().with_instants(MAX_FRAMES as u64 - 1);
+        most.check(Limit::Instants, (span(clip) * rate).floor().max(0.0))?;
         let even = clip.even(rate);
         let start = even.frames.iter().map(|f| f.time).fold(f64::INFINITY, f64::min);
         let mut ticks = Self { even, count: 0, start, rate };
@@ -791,6 +801,17 @@ pub(crate) mod tests {
     ];
 
     /// Times of single precision, some of them left out.
+    #[test]
+    fn more_instants_than_are_ever_made_are_refused() {
+        let mut clip = clip(&[Side::Right]);
+        let last = clip.frames.len() - 1;
+        clip.frames[last].time = 1e6;
+        let refused = |text: String| assert!(text.contains("instants, allowed at most 3999999"), "{text}");
+        refused(Ticks::of(&clip, 25.0).err().unwrap().to_string());
+        let limits = Limits::default().with_instants(u64::MAX).with_seconds(f64::INFINITY);
+        refused(check_span(&clip, 25.0, &limits).unwrap_err().to_string());
+    }
+
     #[test]
     fn keys_tell_the_rate_of_their_beat() {
         for rate in [1.0, 12.5, 14.985, 23.976, 25.0, 30_000.0 / 1001.0, 30.0, 59.94, 119.88, 250.0] {

@@ -17,6 +17,7 @@
 mod boxes;
 mod clip;
 mod read;
+mod shown;
 
 use std::borrow::Cow;
 

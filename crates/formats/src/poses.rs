@@ -9,8 +9,8 @@
 //! Times are seconds, translations metres, rotations unit quaternions, angles degrees; angles that are
 //! left out are zero. A line with `"valid":false` is an instant at which the hand was lost: it keeps its
 //! place in time, and its pose, when there is one, is only a guess; `"why"` may say more: `"lost"`,
-//! `"touching"` (it and the other hand are one silhouette, and both hold their last pose) or `"not-yet"` (it has
-//! not been seen open so far). Lines of one hand are in order of
+//! `"touching"` (it and the other hand are one silhouette, and both hold their last pose), `"not-yet"` (it has
+//! not been seen open so far) or `"bridged"` (it is on the way from the valid pose before to the one behind). Lines of one hand are in order of
 //! time; the lines of two hands may be mixed in any way.
 
 use std::fs::File;

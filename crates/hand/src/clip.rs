@@ -18,7 +18,8 @@ use thiserror::Error;
 
 use super::{HandPose, Morphology, MorphologyError, Person, Side, skin_tone};
 
-/// Most poses in a clip that is read or made at a rate.
+/// Most instants of a hand at a rate: [`PoseClip::even`] and [`PoseClip::resampled`] make no more, and who calls them refuses
+/// what would have more.
 pub const MAX_FRAMES: usize = 4_000_000;
 /// Most hands in a clip.
 pub const MAX_HANDS: usize = 2;

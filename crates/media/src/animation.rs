@@ -1,7 +1,7 @@
 //! Still and animated pictures: PNG, JPEG, GIF, WebP, BMP, PNM.
 
 use std::fs::File;
-use std::io::{self, BufReader, Read, Seek, SeekFrom};
+use std::io::{self, BufRead, BufReader, Read, Seek, SeekFrom};
 use std::path::Path;
 
 #[cfg(feature = "pictures")]
@@ -14,7 +14,7 @@ use image::{
 
 use super::prefetch::Prefetch;
 use super::{ClipInfo, Frame, FrameError, FrameSource, OpenOptions, check_size, wrong_size};
-use handcast_limits::Limits;
+use handcast_limits::{Limit, Limits};
 use handcast_picture::Shrinker;
 
 /// What players show for a frame that says it lasts no time.
@@ -29,11 +29,11 @@ pub(super) fn open(
 ) -> Result<Box<dyn FrameSource>, FrameError> {
     let label = format.extensions_str().first().copied().unwrap_or("picture");
     let limits = &options.limits;
-    check_frame(path, format)?;
+    check_parts(path, format)?;
     let Some(animation) =
         open_animation(path, format, limits).map_err(|error| failed(path, error, limits))?
     else {
-        let image = read_picture(path, limits)?;
+        let image = picture(path, reader_of(path, format, limits)?, limits)?;
         let (width, height) = image.dimensions();
         let info = ClipInfo {
             width,
@@ -172,32 +172,110 @@ pub(super) fn decoder_limits(limits: &Limits) -> image::Limits {
     told
 }
 
-fn reader(path: &Path, limits: &Limits) -> Result<ImageReader<BufReader<File>>, FrameError> {
-    let name = || path.display().to_string();
-    let file = File::open(path).map_err(|source| match source.kind() {
-        io::ErrorKind::NotFound => FrameError::NotFound { path: name() },
-        _ => FrameError::Io { path: name(), source },
-    })?;
-    let mut reader = ImageReader::new(BufReader::new(file))
-        .with_guessed_format()
-        .map_err(|source| FrameError::Io { path: name(), source })?;
-    if reader.format().is_none() {
+/// What pictures are decoded from.
+trait Input: BufRead + Seek {}
+
+impl<T: BufRead + Seek> Input for T {}
+
+fn unreadable(path: &Path, source: io::Error) -> FrameError {
+    let path = path.display().to_string();
+    match source.kind() {
+        io::ErrorKind::NotFound => FrameError::NotFound { path },
+        _ => FrameError::Io { path, source },
+    }
+}
+
+/// A reader of a picture of whatever format, whose parts have been checked.
+fn reader(path: &Path, limits: &Limits) -> Result<ImageReader<Box<dyn Input>>, FrameError> {
+    let found = ImageReader::open(path).and_then(ImageReader::with_guessed_format);
+    let Some(format) = found.map_err(|source| unreadable(path, source))?.format() else {
         let what = "no picture format begins like this".to_owned();
-        return Err(FrameError::NotAVideo { path: name(), what });
-    }
-    if let Some(format) = reader.format() {
-        check_frame(path, format)?;
-    }
+        return Err(FrameError::NotAVideo { path: path.display().to_string(), what });
+    };
+    check_parts(path, format)?;
+    reader_of(path, format, limits)
+}
+
+/// The same of a picture whose parts have been checked. Of a JPEG, which its decoder takes in as a whole, it has nothing
+/// behind the end.
+fn reader_of(
+    path: &Path,
+    format: ImageFormat,
+    limits: &Limits,
+) -> Result<ImageReader<Box<dyn Input>>, FrameError> {
+    let file = File::open(path).map_err(|source| unreadable(path, source))?;
+    let input: Box<dyn Input> = match format {
+        ImageFormat::Jpeg => Box::new(whole_jpeg(path, file, limits)?),
+        _ => Box::new(BufReader::new(file)),
+    };
+    let mut reader = ImageReader::with_format(input, format);
     reader.limits(decoder_limits(limits));
     Ok(reader)
 }
 
+/// A JPEG from its beginning to its end. Decoders fill with grey what is missing of a picture that is cut, which is refused
+/// here.
+fn whole_jpeg(path: &Path, file: File, limits: &Limits) -> Result<io::Take<BufReader<File>>, FrameError> {
+    let io = |source| FrameError::Io { path: path.display().to_string(), source };
+    let length = file.metadata().map_err(io)?.len();
+    let mut file = BufReader::with_capacity(1 << 16, file);
+    let Some(end) = end_of_jpeg(&mut file, limits.bytes).map_err(io)? else {
+        // It may be that there is one behind as many bytes as allowed.
+        limits
+            .check(Limit::Bytes, length as f64)
+            .map_err(|excess| FrameError::Excess { path: path.display().to_string(), excess })?;
+        let what = "the picture is cut: it has no end".to_owned();
+        return Err(FrameError::Malformed { path: path.display().to_string(), what });
+    };
+    file.rewind().map_err(io)?;
+    Ok(file.take(end))
+}
+
+/// Where a JPEG ends, which begins at byte 0: behind the first end of image that lies in no segment (ISO/IEC 10918-1, B.1.1 and
+/// B.2). There may be anything behind it: a film, another picture. `None` where there is none within `most` bytes.
+fn end_of_jpeg(file: &mut (impl BufRead + Seek), most: u64) -> io::Result<Option<u64>> {
+    let (mut at, mut in_scan) = (0u64, false);
+    loop {
+        // Whatever is no marker is data of a scan, or nothing that decoders know.
+        at += file.skip_until(0xff)? as u64;
+        let mut code = 0xff;
+        while code == 0xff {
+            let Some([next]) = next_of(file)? else { return Ok(None) };
+            (code, at) = (next, at + 1);
+        }
+        if at > most {
+            return Ok(None);
+        }
+        let has_length = match code {
+            0xd9 => return Ok(Some(at)),
+            // A byte of data, single markers.
+            0x00 | 0x01 | 0xd0..=0xd8 => false,
+            // What else may stand in a scan is damage, which decoders pass over.
+            _ => !in_scan || matches!(code, 0xc4 | 0xcc | 0xda..=0xdf | 0xe0..=0xef | 0xfe),
+        };
+        if has_length {
+            let Some(length) = next_of(file)? else { return Ok(None) };
+            let length = u16::from_be_bytes(length).max(2);
+            file.seek_relative(i64::from(length) - 2)?;
+            at += u64::from(length);
+        }
+        in_scan |= code == 0xda;
+    }
+}
+
+/// The next bytes, `None` at the end.
+fn next_of<const N: usize>(file: &mut impl Read) -> io::Result<Option<[u8; N]>> {
+    match next_bytes(file) {
+        Err(error) if error.kind() == io::ErrorKind::UnexpectedEof => Ok(None),
+        bytes => bytes.map(Some),
+    }
+}
+
 /// What decoders take for granted, and would break down or swell by where it does not hold.
-fn check_frame(path: &Path, format: ImageFormat) -> Result<(), FrameError> {
+fn check_parts(path: &Path, format: ImageFormat) -> Result<(), FrameError> {
     let found = match format {
         ImageFormat::Png => odd_palette(path),
         ImageFormat::WebP => odd_picture(path),
-        ImageFormat::Jpeg => cut_jpeg(path),
         _ => Ok(None),
     };
     match found {
@@ -207,15 +285,6 @@ fn check_frame(path: &Path, format: ImageFormat) -> Result<(), FrameError> {
         Ok(Some(what)) => Err(FrameError::Malformed { path: path.display().to_string(), what }),
         Err(source) => Err(FrameError::Io { path: path.display().to_string(), source }),
     }
-}
-
-/// Whether a JPEG ends in the middle of its picture, which decoders fill with grey: behind its last scan there must be an
-/// end (ISO/IEC 10918-1, B.1.1.2: neither marker occurs in the data of a scan).
-fn cut_jpeg(path: &Path) -> io::Result<Option<String>> {
-    let bytes = std::fs::read(path)?;
-    let last = |marker: u8| bytes.windows(2).rposition(|pair| pair == [0xff, marker]);
-    let cut = last(0xda).is_some_and(|scan| last(0xd9).is_none_or(|end| end < scan));
-    Ok(cut.then(|| "the picture is cut: it has no end".to_owned()))
 }
 
 /// Bytes of the palette of a PNG, three a colour, of 256 colours at most.
@@ -347,9 +416,17 @@ pub(super) fn dimensions(path: &Path, limits: &Limits) -> Result<(u32, u32), Fra
 /// # Errors
 /// The file is missing, damaged, no picture, or too large.
 pub(super) fn read_picture(path: &Path, limits: &Limits) -> Result<RgbImage, FrameError> {
+    picture(path, reader(path, limits)?, limits)
+}
+
+fn picture(
+    path: &Path,
+    reader: ImageReader<Box<dyn Input>>,
+    limits: &Limits,
+) -> Result<RgbImage, FrameError> {
     let name = path.display().to_string();
     let fail = |error| failed(path, error, limits);
-    let mut decoder = reader(path, limits)?.into_decoder().map_err(fail)?;
+    let mut decoder = reader.into_decoder().map_err(fail)?;
     let (width, height) = decoder.dimensions();
     check_size(&name, u64::from(width), u64::from(height), limits)?;
     let orientation = decoder.orientation().map_err(fail)?;
@@ -365,17 +442,16 @@ pub(super) fn read_picture(path: &Path, limits: &Limits) -> Result<RgbImage, Fra
 /// The variant of [`FrameError`] for an error of `image` about a file.
 fn failed(path: &Path, error: ImageError, limits: &Limits) -> FrameError {
     let name = path.display().to_string();
-    match (&error, stated_size(path)) {
-        (ImageError::Limits(_), Some((width, height))) => {
-            wrong_size(&name, width.into(), height.into(), limits)
-        }
-        _ => translate(&name, error),
+    let too_large = matches!(error, ImageError::Limits(_));
+    match too_large.then(|| stated_size(path, limits)).flatten() {
+        Some((width, height)) => wrong_size(&name, width.into(), height.into(), limits),
+        None => translate(&name, error),
     }
 }
 
 /// The size that the header of a picture states, whatever it is.
-fn stated_size(path: &Path) -> Option<(u32, u32)> {
-    let mut reader = ImageReader::open(path).ok()?.with_guessed_format().ok()?;
+fn stated_size(path: &Path, limits: &Limits) -> Option<(u32, u32)> {
+    let mut reader = reader(path, limits).ok()?;
     reader.no_limits();
     reader.into_dimensions().ok()
 }

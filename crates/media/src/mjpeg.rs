@@ -1,7 +1,7 @@
 //! AVI files of JPEG pictures.
 
 use std::fs::File;
-use std::io::{self, BufReader, Cursor, Read, Seek};
+use std::io::{self, BufRead, BufReader, Cursor, Read, Seek, SeekFrom};
 use std::path::Path;
 
 use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, RgbImage};
@@ -182,7 +182,12 @@ struct Lists {
 
 impl Lists {
     /// Reads the heads of the chunks from `at` on.
-    fn read(mut self, reader: &mut BufReader<File>, mut at: u64, limits: &Limits) -> Result<Self, Fault> {
+    fn read(
+        mut self,
+        reader: &mut BufReader<impl Read + Seek>,
+        mut at: u64,
+        limits: &Limits,
+    ) -> Result<Self, Fault> {
         loop {
             if at + 8 > self.end.min(self.length) {
                 match self.next_list(reader)? {
@@ -198,7 +203,7 @@ impl Lists {
                 at += 12;
                 continue;
             }
-            let is_sound = kind.iter().all(|byte| byte.is_ascii_graphic() || *byte == b' ');
+            let is_sound = is_name(&kind);
             if !is_sound || at + 8 + u64::from(size) > self.length {
                 let what = if is_sound { "cut" } else { "damaged" };
                 let number = self.chunks.len();
@@ -232,7 +237,7 @@ impl Lists {
 
     /// The next list of pictures, if there is one: files above a gigabyte have several, each in a RIFF of its own
     /// (OpenDML).
-    fn next_list(&mut self, reader: &mut BufReader<File>) -> io::Result<Option<u64>> {
+    fn next_list(&mut self, reader: &mut BufReader<impl Read + Seek>) -> io::Result<Option<u64>> {
         let mut at = self.end;
         while at + 12 <= self.length {
             go_to(reader, at)?;
@@ -243,30 +248,57 @@ impl Lists {
                 self.end = end_of(at, size, self.length);
                 return Ok(Some(at + 12));
             }
+            if !is_name(&kind) {
+                // A recorder that broke down leaves zeros behind what it had written.
+                break;
+            }
             // What is in a RIFF comes behind its name.
             at = if &kind == b"RIFF" { at + 12 } else { behind(at, size) };
         }
         Ok(None)
     }
 
-    /// Where from `at` on, in this list, the next chunk begins that has a whole JPEG picture.
-    fn look_for_picture(&self, reader: &mut BufReader<File>, mut at: u64) -> io::Result<Option<u64>> {
+    /// Where from `from` on, in this list, the next chunk begins that has a whole JPEG picture. No more is read behind it than
+    /// was before it, or stays in the reader: there may be as many places of damage as pictures.
+    fn look_for_picture(
+        &self,
+        reader: &mut BufReader<impl Read + Seek>,
+        from: u64,
+    ) -> io::Result<Option<u64>> {
         const HEAD: usize = 10;
+        const FAR: u64 = 1 << 12;
         let end = self.end.min(self.length);
-        let mut block = Vec::new();
+        let is_whole = |head: &[u8], at: u64| {
+            let size = head.get(4..8).and_then(|size| <[u8; 4]>::try_from(size).ok()).map(u32::from_le_bytes);
+            head.ends_with(&[0xff, 0xd8])
+                && self.is_picture(head)
+                && size.is_some_and(|size| size > 0 && at + 8 + u64::from(size) <= end)
+        };
+        let (mut at, mut pieces) = (from, Vec::new());
         while at + (HEAD as u64) < end {
             go_to(reader, at)?;
-            block.clear();
-            reader.by_ref().take((end - at).min(1 << 16)).read_to_end(&mut block)?;
-            let found = block.windows(HEAD).position(|head| {
-                let size = head.get(4..8).and_then(|size| <[u8; 4]>::try_from(size).ok());
-                let whole = |size| at + 8 + u64::from(u32::from_le_bytes(size)) <= end;
-                self.is_picture(head) && head.ends_with(&[0xff, 0xd8]) && size.is_some_and(whole)
-            });
-            if let Some(found) = found {
-                return Ok(Some(at + found as u64));
+            let piece = match at - from {
+                ..FAR => {
+                    if reader.buffer().len() < HEAD {
+                        // What is left of it is read once more, with what is behind.
+                        reader.seek(SeekFrom::Start(at))?;
+                    }
+                    reader.fill_buf()?
+                }
+                far => {
+                    pieces.clear();
+                    reader.by_ref().take(far.min(1 << 16)).read_to_end(&mut pieces)?;
+                    &pieces
+                }
+            };
+            let found = (at..).zip(piece.windows(HEAD)).find(|(at, head)| is_whole(head, *at));
+            if let Some((found, _)) = found {
+                return Ok(Some(found));
             }
-            at += (block.len() + 1).saturating_sub(HEAD).max(1) as u64;
+            if piece.len() < HEAD {
+                break;
+            }
+            at += (piece.len() + 1 - HEAD) as u64;
         }
         Ok(None)
     }
@@ -333,6 +365,11 @@ fn chunk_header(reader: &mut impl Read) -> io::Result<([u8; 4], u32)> {
     Ok(([a, b, c, d], u32::from_le_bytes(size)))
 }
 
+/// Whether a chunk may have this kind.
+fn is_name(kind: &[u8; 4]) -> bool {
+    kind.iter().all(|byte| byte.is_ascii_graphic() || *byte == b' ')
+}
+
 /// Where the chunk behind one at `at` begins.
 fn behind(at: u64, size: u32) -> u64 {
     at + 8 + u64::from(size) + u64::from(size & 1)
@@ -345,7 +382,7 @@ fn end_of(at: u64, size: u32, end: u64) -> u64 {
 }
 
 /// Goes to a place without reading anew what has been read ahead: small chunks are many.
-fn go_to(reader: &mut BufReader<File>, at: u64) -> io::Result<()> {
+fn go_to(reader: &mut BufReader<impl Read + Seek>, at: u64) -> io::Result<()> {
     let here = reader.stream_position()?;
     reader.seek_relative(at.wrapping_sub(here).cast_signed())
 }
@@ -415,4 +452,65 @@ fn read_words<const N: usize>(reader: &mut impl Read) -> io::Result<[u32; N]> {
         *word = u32::from_le_bytes(bytes);
     }
     Ok(words)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A file that counts the bytes that are read of it.
+    struct Counted<'a>(Cursor<&'a [u8]>, u64);
+
+    impl Read for Counted<'_> {
+        fn read(&mut self, to: &mut [u8]) -> io::Result<usize> {
+            let count = self.0.read(to)?;
+            self.1 += count as u64;
+            Ok(count)
+        }
+    }
+
+    impl Seek for Counted<'_> {
+        fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
+            self.0.seek(to)
+        }
+    }
+
+    /// The chunks found of a list that begins at byte 0 and ends at `end`, and how many bytes were read.
+    fn found(bytes: &[u8], end: u64) -> (Vec<(u64, u32)>, u64) {
+        let length = bytes.len() as u64;
+        let lists = Lists { length, stream: 0, end, tick: 0, repeated: 0, chunks: Vec::new(), damage: None };
+        let mut reader = BufReader::with_capacity(1 << 10, Counted(Cursor::new(bytes), 0));
+        let Ok(lists) = lists.read(&mut reader, 0, &Limits::default()) else { panic!("limits are kept") };
+        (lists.chunks.iter().map(|chunk| (chunk.at, chunk.size)).collect(), reader.get_ref().1)
+    }
+
+    /// A chunk of a picture of so many bytes, which begins as one does.
+    fn chunk(size: usize) -> Vec<u8> {
+        [&b"00dc"[..], &(size as u32).to_le_bytes(), &[0xff, 0xd8], &vec![7; size - 2]].concat()
+    }
+
+    #[test]
+    fn zeros_behind_the_lists_are_not_stepped_through() {
+        let bytes = [chunk(40), vec![0; 1 << 20]].concat();
+        let (chunks, read) = found(&bytes, 48);
+        assert_eq!(chunks, [(8, 40)]);
+        assert!(read < 4 << 10, "{read}");
+        // A further list comes behind other chunks.
+        let further = [&b"LIST\x34\0\0\0movi"[..], &chunk(40)].concat();
+        let bytes = [chunk(40), b"JUNK\x08\0\0\0\0\0\0\0\0\0\0\0".to_vec(), further].concat();
+        assert_eq!(found(&bytes, 48).0, [(8, 40), (84, 40)]);
+    }
+
+    #[test]
+    fn damage_is_read_once_whatever_looks_like_a_picture() {
+        let like = |size: u8| [b'0', b'0', b'd', b'c', size, 0, 0, 0, 0xff, 0xd8, 0, 0, 0, 0, 0, 0, 0, 0];
+        for size in [0, 2] {
+            let bytes = [vec![0; 16], like(size).repeat(10_000), chunk(5000), vec![0; 9]].concat();
+            let length = bytes.len() as u64;
+            let (chunks, read) = found(&bytes, length);
+            assert_eq!(chunks.last(), Some(&(length - 9 - 5000, 5000)));
+            assert_eq!(chunks.len(), if size == 0 { 1 } else { 10_001 });
+            assert!(read < 2 * length, "{read} of {length}");
+        }
+    }
 }

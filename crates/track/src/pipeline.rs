@@ -37,11 +37,14 @@ use crate::{
 use handcast_hand::smooth::SmoothOptions;
 use handcast_hand::{Absence, ClipHand, MorphologyError, PoseHeader, TimedPose};
 use handcast_hand::{HandPose, Morphology, Person, Side};
+use handcast_limits::{Excess, Limits};
 use handcast_media::FrameError;
 use handcast_vision::sighting::FindError;
 use handcast_vision::{GuidedTuning, HandParts, PartsError, SegmentOptions, Silhouette, VisionError};
 
-pub use clip::{ClipEnd, ClipTimings, FrameTimings, TrackedClip, TrackedHand, track_clip, track_frames};
+pub use clip::{
+    ClipEnd, ClipTimings, FrameTimings, TrackedClip, TrackedHand, check_length, track_clip, track_frames,
+};
 pub use exposure::Exposure;
 pub use sighted::FinderSource;
 pub use still::{Stages, StillError, StillFit, StillOptions, StillTimings, fit_still};
@@ -99,6 +102,9 @@ pub struct ClipOptions {
     pub confidence: ConfidenceTuning,
     /// What surrounds them.
     pub tuning: ClipTuning,
+    /// How many instants and seconds a clip may have, which are those of its poses; frames that are pushed into a
+    /// [`Tracker`] may be any number.
+    pub limits: Limits,
 }
 
 /// What tracking starts from.
@@ -134,6 +140,7 @@ impl Default for ClipOptions {
             fit: FitTuning::default(),
             confidence: ConfidenceTuning::default(),
             tuning: ClipTuning::default(),
+            limits: Limits::default(),
         }
     }
 }
@@ -168,6 +175,9 @@ pub enum ClipError {
     /// Reading the clip failed.
     #[error(transparent)]
     Frames(#[from] FrameError),
+    /// The clip is longer than allowed.
+    #[error(transparent)]
+    Excess(#[from] Excess),
     /// An option is out of range.
     #[error("{what} is {value}, allowed is {allowed}")]
     Option {
@@ -404,6 +414,13 @@ pub trait ClipSink {
     /// # Errors
     /// A message; tracking stops with [`ClipError::Sink`].
     fn tracked(&mut self, frame: TrackedFrame<'_>) -> Result<(), String>;
+}
+
+/// Nobody looks on.
+impl ClipSink for () {
+    fn tracked(&mut self, _: TrackedFrame<'_>) -> Result<(), String> {
+        Ok(())
+    }
 }
 
 /// How a hand was found.

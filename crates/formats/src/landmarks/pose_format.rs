@@ -190,6 +190,28 @@ struct Header<'a> {
     points: usize,
 }
 
+impl<'a> Component<'a> {
+    /// The name of a hand's side, of a component of this kind as it is written.
+    fn side(&self, kind: &str) -> Option<&'a str> {
+        let side = self.name.strip_suffix(kind)?.strip_suffix("_HAND_")?;
+        (self.axes == 3 && self.points == NAMES).then_some(side)
+    }
+}
+
+impl Header<'_> {
+    /// Whether it is as [`write_header`] writes it.
+    fn is_ours(&self) -> bool {
+        let (picture, space) = self.components.split_at(self.components.len() / 2);
+        let same = |(picture, space): (&Component, &Component)| {
+            let side = picture.side("LANDMARKS");
+            side.is_some() && side == space.side("WORLD_LANDMARKS")
+        };
+        self.size == [usize::from(PICTURE); 2]
+            && picture.len() == space.len()
+            && picture.iter().zip(space).all(same)
+    }
+}
+
 fn header<'a>(bytes: &mut Bytes<'a>, limits: &Limits) -> Result<Header<'a>, String> {
     let number = f32::from_le_bytes(bytes.array("the version")?);
     let version = PoseVersion::ALL.into_iter().find(|version| version.number() == number);
@@ -396,7 +418,7 @@ fn clip_of(
             ..LandmarkFrame::of(time, points)
         });
     }
-    clip.centred = hand.world.is_some() && !in_camera_space(&clip);
+    clip.centred = hand.world.is_some() && !in_camera_space(&clip).unwrap_or_else(|| header.is_ours());
     Ok(seen.then_some(clip))
 }
 
@@ -413,20 +435,22 @@ fn depth_unit(hand: &HandParts, person: usize, header: &Header, body: &Body) -> 
 }
 
 /// Whether points in space lie where a camera as that of written files sees them in the picture: then they say where the
-/// hand is.
-fn in_camera_space(clip: &LandmarkClip) -> bool {
-    let Some(size) = clip.image_size else { return false };
-    let camera = Camera::new(size, FIELD_OF_VIEW);
-    [Vector3::zeros(), BEFORE_CAMERA].into_iter().any(|moved| {
-        let mut pairs = clip.frames.iter().flat_map(|frame| {
+/// hand is. `None` where no point is in both.
+fn in_camera_space(clip: &LandmarkClip) -> Option<bool> {
+    let pairs = || {
+        clip.frames.iter().flat_map(|frame| {
             let image = frame.image.as_ref().into_iter().flatten();
             frame.points.iter().zip(image).filter_map(|(p, seen)| Some(((*p)?, (*seen)?)))
-        });
-        pairs.all(|(p, seen)| {
+        })
+    };
+    pairs().next()?;
+    let camera = Camera::new(clip.image_size?, FIELD_OF_VIEW);
+    Some([Vector3::zeros(), BEFORE_CAMERA].into_iter().any(|moved| {
+        pairs().all(|(p, seen)| {
             let p = Axes::Mediapipe.to_webxr(p) + moved;
             p.z < 0.0 && (camera.seen(p) - seen).norm() < SAME_PIXEL
         })
-    })
+    }))
 }
 
 /// Writes the poses of a clip at `rate` frames a second from its first instant on. Hands of unknown sizes get those of
@@ -707,6 +731,22 @@ mod tests {
         bytes.extend(1u16.to_le_bytes());
         bytes.extend(vec![0x3e; more]);
         bytes
+    }
+
+    #[test]
+    fn points_in_space_alone_do_not_say_where_the_hand_is() {
+        let world = read(&plain(0.2, "LEFT_HAND_WORLD_LANDMARKS", 21, 1, 12 * 21)).unwrap();
+        assert!(world[0].centred);
+        // Behind the camera of a file that is written there is no picture.
+        let mut clip = two_hands();
+        clip.frames.iter_mut().for_each(|frame| frame.pose.translation.z += 2.0);
+        let mut bytes = Vec::new();
+        write_pose(&clip, &Morphology::default(), 25.0, PoseVersion::V0_2, &mut bytes).unwrap();
+        let ours = read(&bytes).unwrap();
+        assert!(ours.iter().all(|clip| !clip.centred && clip.frames.iter().all(|f| f.image.is_none())));
+        // The same of another picture, which says nothing.
+        bytes[4..6].copy_from_slice(&640u16.to_le_bytes());
+        assert!(read(&bytes).unwrap().iter().all(|clip| clip.centred));
     }
 
     #[test]

@@ -3,7 +3,7 @@
 use handcast_fba::syntax::{OBJECT_START, OLD_OBJECT_START};
 
 use super::boxes::{Boxes, TAGS, VISUAL, u32_at, u64_at};
-use super::{Mp4Error, malformed};
+use super::{Mp4Error, malformed, shown};
 
 /// The FBA stream of the first track that holds one; `None` where none does, or the bytes are no MP4 file.
 ///
@@ -26,8 +26,8 @@ pub fn stream_in(file: &[u8]) -> Result<Option<Vec<u8>>, Mp4Error> {
     Ok(None)
 }
 
-/// Seconds from the beginning of an MP4 file to that of its stream, by the empty edits of the track (8.6.6); 0 of any other file,
-/// and where they cannot be read.
+/// Seconds from the beginning of an MP4 file to that of its stream, by the edit list of the track (8.6.6) and the times of its
+/// samples; 0 of any other file, and where they cannot be read.
 pub fn starts_at(file: &[u8]) -> f64 {
     starts(file, |track| matches!(fba_in(track), Ok(Some(_))))
 }
@@ -40,16 +40,15 @@ pub fn pictures_start_at(file: &[u8]) -> f64 {
 /// Seconds from the beginning of an MP4 file to the end of its first pictures, as the track says (8.3.2); none where it does not,
 /// and of any other file.
 pub fn pictures_end_at(file: &[u8]) -> Option<f64> {
-    let moov = Boxes::new(file).find(b"moov").ok().flatten().filter(|_| super::is_mp4(file))?;
-    let mut tracks = Boxes::new(moov.content).flatten().filter(|found| &found.kind == b"trak");
-    let track = tracks.find(|track| is_of_pictures(track.content))?;
-    let head = path(track.content, &[b"tkhd"]).ok().flatten()?;
+    let (track, scale) = first_track(file, is_of_pictures)?;
+    let head = path(track, &[b"tkhd"]).ok().flatten()?;
     let ticks = match head.first() {
         Some(1) => u64_at(head, 28).filter(|&ticks| ticks != u64::MAX)?,
         _ => u32_at(head, 20).filter(|&ticks| ticks != u32::MAX)?.into(),
     };
-    let scale = f64::from(movie_scale(moov.content)?);
-    (ticks > 0).then(|| ticks as f64 / scale)
+    // Without an edit list it is how long the pictures are shown.
+    let before = if shown::is_edited(track) { 0.0 } else { shown::begins(track, scale) };
+    (ticks > 0).then(|| before + ticks as f64 / f64::from(scale))
 }
 
 /// Whether a track shows pictures.
@@ -58,29 +57,22 @@ fn is_of_pictures(track: &[u8]) -> bool {
     handler.and_then(|handler| handler.get(8..12)) == Some(b"vide")
 }
 
-/// Ticks a second of the movie.
-fn movie_scale(moov: &[u8]) -> Option<u32> {
-    let movie = Boxes::new(moov).find(b"mvhd").ok().flatten()?.content;
-    u32_at(movie, if movie.first() == Some(&1) { 20 } else { 12 }).filter(|&scale| scale > 0)
+/// Ticks a second, as the header of a movie or of a track's media says.
+pub fn time_scale(header: &[u8]) -> Option<u32> {
+    u32_at(header, if header.first() == Some(&1) { 20 } else { 12 }).filter(|&scale| scale > 0)
+}
+
+/// The first track of an MP4 file that is `wanted`, and the ticks a second of the movie.
+fn first_track(file: &[u8], wanted: impl Fn(&[u8]) -> bool) -> Option<(&[u8], u32)> {
+    let moov = Boxes::new(file).find(b"moov").ok().flatten().filter(|_| super::is_mp4(file))?;
+    let mut tracks = Boxes::new(moov.content).flatten().filter(|found| &found.kind == b"trak");
+    let track = tracks.find(|track| wanted(track.content))?;
+    Some((track.content, time_scale(path(moov.content, &[b"mvhd"]).ok()??)?))
 }
 
 /// Seconds before the first of the tracks that are `wanted` shows anything.
 fn starts(file: &[u8], wanted: impl Fn(&[u8]) -> bool) -> f64 {
-    let Some(moov) = Boxes::new(file).find(b"moov").ok().flatten().filter(|_| super::is_mp4(file)) else {
-        return 0.0;
-    };
-    let mut tracks = Boxes::new(moov.content).flatten().filter(|found| &found.kind == b"trak");
-    let track = tracks.find(|track| wanted(track.content));
-    let edits = track.and_then(|track| path(track.content, &[b"edts", b"elst"]).ok().flatten());
-    let long = |content: &[u8]| content.first() == Some(&1);
-    let (Some(edits), Some(scale)) = (edits, movie_scale(moov.content)) else { return 0.0 };
-    let width = if long(edits) { 20 } else { 12 };
-    let rows = edits.get(8..).unwrap_or_default().chunks_exact(width);
-    let ticks = rows.map_while(|row| match long(edits) {
-        true => u64_at(row, 0).filter(|_| u64_at(row, 8) == Some(u64::MAX)),
-        false => u32_at(row, 0).map(u64::from).filter(|_| u32_at(row, 4) == Some(u32::MAX)),
-    });
-    ticks.fold(0.0, |sum, ticks| sum + ticks as f64) / f64::from(scale)
+    first_track(file, wanted).map_or(0.0, |(track, scale)| shown::begins(track, scale))
 }
 
 /// Whether a file is an MP4 file whose only track is an FBA stream.
@@ -91,7 +83,7 @@ pub fn is_stream_alone(file: &[u8]) -> bool {
 }
 
 /// The content of a box along a path.
-fn path<'a>(bytes: &'a [u8], kinds: &[&[u8; 4]]) -> Result<Option<&'a [u8]>, Mp4Error> {
+pub fn path<'a>(bytes: &'a [u8], kinds: &[&[u8; 4]]) -> Result<Option<&'a [u8]>, Mp4Error> {
     let mut here = bytes;
     for kind in kinds {
         let Some(found) = Boxes::new(here).find(kind)? else { return Ok(None) };

@@ -134,6 +134,74 @@ fn the_tracks_of_a_clip_come_along_untouched() {
     }
 }
 
+/// Rows of a table.
+type Rows<'a> = &'a [[i32; 2]];
+
+/// A file of 600 ticks a second with a track of pictures of 1000 that lasts 1200 of the movie's: its edits (duration, where it
+/// begins), and the runs of the steps and shifts of its samples.
+fn timed(edits: Rows<'_>, steps: Rows<'_>, shifts: Rows<'_>) -> Vec<u8> {
+    let rows = |out: &mut Out, kind: &[u8; 4], rows: Rows<'_>, more: &[i32]| {
+        out.full(kind, 0, |out| {
+            out.u32(rows.len() as u32);
+            rows.iter().for_each(|row| row.iter().chain(more).for_each(|v| out.u32(v.cast_unsigned())));
+        });
+    };
+    let mut file = Out::default();
+    file.of(b"ftyp", |out| out.bytes(b"isom\0\0\0\0"));
+    file.of(b"moov", |out| {
+        boxes::mvhd(out, 600, 1200, 8);
+        out.of(b"trak", |out| {
+            boxes::tkhd(out, 7, 1200);
+            if !edits.is_empty() {
+                out.of(b"edts", |out| rows(out, b"elst", edits, &[1 << 16]));
+            }
+            out.of(b"mdia", |out| {
+                boxes::mdhd(out, 1000, 2000);
+                boxes::hdlr(out, b"vide", "");
+                out.of(b"minf", |out| {
+                    out.of(b"stbl", |out| {
+                        rows(out, b"stts", steps, &[]);
+                        if !shifts.is_empty() {
+                            rows(out, b"ctts", shifts, &[]);
+                        }
+                    });
+                });
+            });
+        });
+    });
+    file.into_bytes()
+}
+
+#[test]
+fn pictures_start_where_the_first_one_is_shown() {
+    let even = [[50, 40]];
+    // Of pictures that are decoded before those shown ahead of them; the second is shown first.
+    let shifts = [[1, 120], [1, 40], [48, 80]];
+    let cases: [(Rows<'_>, Rows<'_>, f64); 11] = [
+        (&[], &[], 0.0),
+        (&[], &shifts, 0.08),
+        (&[[1200, 0]], &shifts, 0.08),
+        (&[[1200, 80]], &shifts, 0.0),
+        (&[[0, 80]], &shifts, 0.0),
+        (&[[300, -1], [1200, 80]], &shifts, 0.5),
+        (&[[300, -1], [300, -1], [1200, 0]], &shifts, 1.08),
+        (&[[300, -1]], &shifts, 0.58),
+        // Between two pictures.
+        (&[[600, 1001]], &[], 0.039),
+        // Later, or too short for any.
+        (&[[600, 4000]], &[], 0.0),
+        (&[[600, -1], [12, 1001]], &[], 1.0),
+    ];
+    for (edits, shifts, expected) in cases {
+        let found = pictures_start_at(&timed(edits, &even, shifts));
+        assert!((found - expected).abs() < 1e-9, "{edits:?} {shifts:?}: {found}, {expected}");
+    }
+    let end = |edits: Rows<'_>| pictures_end_at(&timed(edits, &even, &shifts)).unwrap();
+    assert!((end(&[]) - 2.08).abs() < 1e-9 && (end(&[[1200, 80]]) - 2.0).abs() < 1e-9);
+    // Neither memory nor time is that of what tables say.
+    assert_eq!(pictures_start_at(&timed(&[[1, i32::MAX]], &[[-1, 1]; 1000], &[[-1, -1]; 1000])), 0.0);
+}
+
 #[test]
 fn what_is_no_stream_or_clip_is_refused() {
     let refused = |clip: &[u8]| {

@@ -11,6 +11,7 @@ use super::silhouettes::{Search, Seeker, Segmented, Silhouettes};
 use super::stage::HandStage;
 use super::{ClipError, ClipOptions, ClipSink, HandFrame, HandStart, StageTimes, TrackedFrame, header};
 use handcast_hand::{PoseHeader, TimedPose};
+use handcast_limits::{Excess, Limit, Limits};
 use handcast_media::{ClipInfo, Frame, FrameError, FrameSource, Prefetch};
 use handcast_vision::Segmenter;
 
@@ -116,6 +117,17 @@ impl TrackedClip {
     }
 }
 
+/// That a clip is no longer than `limits` allow, where that is known before it is read.
+///
+/// # Errors
+/// [`Excess`] of instants or seconds.
+pub fn check_length(source: &(impl FrameSource + ?Sized), limits: &Limits) -> Result<(), Excess> {
+    let Some(times) = source.times() else { return Ok(()) };
+    let seconds = times.first().zip(times.last()).map_or(0.0, |(first, last)| last - first);
+    limits.check_count(Limit::Instants, times.len())?;
+    limits.check(Limit::Seconds, seconds)
+}
+
 /// Tracks the hands in `source`. `masks`, when given, delivers one ready mask for each frame (white is
 /// hand) and takes the place of segmentation. Both are asked for pictures of the analysis size
 /// ([`FrameSource::set_max_side`]).
@@ -125,8 +137,8 @@ impl TrackedClip {
 /// before, as [`Absence::NotYet`](handcast_hand::Absence::NotYet).
 ///
 /// # Errors
-/// See [`ClipError`]. A frame without a silhouette in the middle of the clip is no error: it is
-/// reported as lost.
+/// See [`ClipError`]; of a clip longer than [`ClipOptions::limits`] before the work where it is known so early. A frame
+/// without a silhouette in the middle of the clip is no error: it is reported as lost.
 pub fn track_clip(
     source: impl FrameSource + 'static,
     masks: Option<Box<dyn FrameSource>>,
@@ -170,6 +182,7 @@ fn track_on(
     clock: Clock,
 ) -> Result<(ClipEnd, Clock), ClipError> {
     options.check()?;
+    check_length(&source, &options.limits)?;
     source.set_max_side(options.segment.max_side);
     if let Some(masks) = &mut masks {
         masks.set_max_side(options.segment.max_side);
@@ -180,9 +193,10 @@ fn track_on(
     let (sender, receiver) = sync_channel(AHEAD);
     std::thread::scope(|scope| {
         let silhouettes = Silhouettes::new(options);
+        let length = Length { limits: &options.limits, count: 0, first: 0.0 };
         let worker = std::thread::Builder::new()
             .name("segment".to_owned())
-            .spawn_scoped(scope, move || segment(frames, masks, silhouettes, Remote(sender)))
+            .spawn_scoped(scope, move || segment(frames, masks, length, silhouettes, Remote(sender)))
             .map_err(|_| ClipError::Thread)?;
         let mut stage = HandStage::new(options);
         // A worker that does not listen to answers any more has failed, and says why.
@@ -267,11 +281,13 @@ impl Seeker for Remote {
 fn segment(
     mut frames: Prefetch,
     mut masks: Option<Box<dyn FrameSource>>,
+    mut length: Length<'_>,
     mut silhouettes: Silhouettes,
     mut next: Remote,
 ) -> Result<(Duration, Option<String>, usize), ClipError> {
     let mut all = || -> Result<(), Stop> {
         while let Some(frame) = frames.next_frame().map_err(ClipError::from)? {
+            length.add(frame.time).map_err(ClipError::from)?;
             let mask = masks.as_mut().map(|masks| mask_for(&frame, masks.as_mut())).transpose()?;
             silhouettes.push(frame, mask, &mut next)?;
         }
@@ -280,6 +296,24 @@ fn segment(
     match all() {
         Ok(()) | Err(Stop::Unheard) => Ok((silhouettes.time(), frames.shortfall(), silhouettes.further())),
         Err(Stop::Failed(error)) => Err(error),
+    }
+}
+
+/// How long a clip is as far as it has been read.
+struct Length<'a> {
+    limits: &'a Limits,
+    count: usize,
+    /// Seconds at which its first frame is shown.
+    first: f64,
+}
+
+impl Length<'_> {
+    /// Counts a frame that is shown at so many seconds.
+    fn add(&mut self, time: f64) -> Result<(), Excess> {
+        self.first = if self.count == 0 { time } else { self.first };
+        self.count += 1;
+        self.limits.check_count(Limit::Instants, self.count)?;
+        self.limits.check(Limit::Seconds, time - self.first)
     }
 }
 
