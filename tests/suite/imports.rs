@@ -302,6 +302,7 @@ fn motions_of_this_program_are_written_as_they_are() {
 fn rates_that_no_stream_has_come_back_at_their_times() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);
+    let (given, hand, slow) = (at("given.jsonl"), at("hand.fba"), at("slow.jsonl"));
     let wrist = r#""wrist":{"translation":[0,0,-0.5],"rotation":[0,0,0,1]}"#;
     for rate in [0.3, 3.3, 20.0 / 3.0, 100.0 / 11.0] {
         let mut lines = format!(
@@ -316,12 +317,11 @@ fn rates_that_no_stream_has_come_back_at_their_times() {
         }
         std::fs::write(at("given.jsonl"), lines).unwrap();
         for live in [&["--live"][..], &[]] {
-            let args =
-                ["encode", path(&at("given.jsonl")), "-o", path(&at("hand.fba")), "--max-error", "0.3"];
+            let args = ["encode", path(&given), "-o", path(&hand), "--max-error", "0.3"];
             let out = handcast(&[&args[..], live].concat());
             let said = text(&out.stderr);
             assert!(out.status.success() && said.contains("no stream has"), "{said}");
-            done(&["decode", path(&at("hand.fba")), "-o", path(&at("back.jsonl"))]);
+            done(&["decode", path(&hand), "-o", path(&at("back.jsonl"))]);
             let back = read_poses(&at("back.jsonl")).unwrap();
             for i in 0..30u32 {
                 // In the middle of the time for which it is shown.
@@ -331,13 +331,15 @@ fn rates_that_no_stream_has_come_back_at_their_times() {
                 assert!(off.abs() < 0.31, "{rate}: {off} in frame {i}");
             }
         }
-        done(&["fidelity", path(&at("given.jsonl")), "-q"]);
+        done(&["compare", path(&given), path(&hand)]);
+        done(&["fidelity", path(&given), "-q"]);
     }
-    let slow =
+    let header =
         "{\"format\":\"handcast-poses\",\"version\":1,\"rate\":0.001,\"hands\":[{\"side\":\"right\"}]}\n";
-    std::fs::write(at("slow.jsonl"), format!("{slow}{{\"t\":0,\"hand\":\"right\",{wrist}}}\n")).unwrap();
-    let args = ["encode", path(&at("slow.jsonl")), "-o", path(&at("slow.fba"))];
-    refused(&args, &at("slow.fba"), &["at least 1/128", "more.jsonl --fps 1"]);
+    std::fs::write(at("slow.jsonl"), format!("{header}{{\"t\":0,\"hand\":\"right\",{wrist}}}\n")).unwrap();
+    let none = at("slow.fba");
+    let args = ["encode", path(&slow), "-o", path(&none)];
+    refused(&args, &none, &["at least 1/128", "more.jsonl --fps 1"]);
 }
 
 #[test]
