@@ -347,7 +347,7 @@ fn frames_without_times_go_by_the_rate_that_is_told() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);
     let poses = at("hand.jsonl");
-    done(&["spell", "HI", "-o", path(&poses), "-q"]);
+    done(&["spell", "HI", "-o", path(&poses)]);
     let webxr = at("hand.webxr.json");
     done(&["import", path(&poses), "-o", path(&webxr), "-q"]);
     let mut document: Value = serde_json::from_str(&std::fs::read_to_string(&webxr).unwrap()).unwrap();
