@@ -263,8 +263,16 @@ fn told_hint(message: &str) -> String {
     if message.contains("; a joint map says which is which") {
         return "; `import`, `encode` and --mesh take one with --map FILE.toml".to_owned();
     }
+    if message.contains("when scaled alike") {
+        return "; a mask is as wide and as high as its frame, in pixels".to_owned();
+    }
+    if message.contains(" m long, and its numbers look like ") {
+        return "; `handcast import --hand-length-mm 190` brings a file of any unit to a hand of that length"
+            .to_owned();
+    }
     if message.contains("encode: frame rate ") {
-        return "; `handcast import POSES -o fewer.jsonl --fps 60` makes fewer frames of it".to_owned();
+        let (file, fps) = if message.contains("at most 255") { ("fewer", 60) } else { ("more", 1) };
+        return format!("; `handcast import POSES -o {file}.jsonl --fps {fps}` makes {file} frames of it");
     }
     let told = |limit: &Limit| message.contains(&format!(" {}, allowed at most ", limit.unit()));
     let flag = match Limit::ALL.into_iter().find(told) {

@@ -564,6 +564,10 @@ impl Drop for Scratch {
 pub fn warn_of_uneven_times(clip: &PoseClip, rate: f64) {
     let Some(notice) = notices::of_times(clip, rate) else { return };
     let hands = sampling(clip, rate);
+    if hands.is_empty() {
+        errln!("handcast: {notice}");
+        return;
+    }
     let worst = |of: fn(&HandDifference) -> f64| hands.iter().map(of).fold(0.0, f64::max);
     errln!(
         "handcast: {notice}, which changes joints by {:.2}° RMS, {:.1}° at most",

@@ -122,6 +122,9 @@ fn encode(args: &Args) -> anyhow::Result<()> {
             if args.rate.no_sizes {
                 motion.clip.header.forget_person();
             }
+            if let Some(notice) = notices::of_rate(baps.rate) {
+                errln!("handcast: {name}: {notice}");
+            }
             let coded = baps.encode(&motion.clip.header, plan);
             let (bytes, report) = coded.with_context(|| format!("{name}"))?;
             EncodedEnd { bytes, report, tips: None, bridged: 0 }

@@ -36,12 +36,17 @@ pub fn keep_inputs(matches: &ArgMatches) -> anyhow::Result<()> {
         (name, matches) = (sub, of_sub);
     }
     let (mut written, mut read) = (Vec::new(), Vec::new());
+    let mut streamed = 0;
     for id in matches.ids() {
         // Arguments of other types are no paths.
         let Ok(Some(paths)) = matches.try_get_many::<PathBuf>(id.as_str()) else { continue };
-        let list = if WRITTEN.contains(&id.as_str()) { &mut written } else { &mut read };
-        list.extend(paths.filter(|path| path.as_os_str() != "-").cloned());
+        let writes = WRITTEN.contains(&id.as_str());
+        let list = if writes { &mut written } else { &mut read };
+        let (standard, named): (Vec<_>, Vec<_>) = paths.partition(|path| path.as_os_str() == "-");
+        list.extend(named.into_iter().cloned());
+        streamed += if writes { standard.len() } else { 0 };
     }
+    ensure!(streamed < 2, "-: two outputs, and one standard output");
     written.extend(unnamed::folder(name, matches));
     if ["run", "demo"].contains(&name) {
         let files = written.iter().flat_map(|folder| RESULTS.map(|file| folder.join(file)));

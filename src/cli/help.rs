@@ -124,7 +124,7 @@ handcast pose spread -o hand.glb --quantize",
         "spell",
         "\
 handcast spell HELLO -o hello.glb
-handcast spell \"GOOD DAY\" -o day.png  # a sheet of moments
+handcast spell \"GOOD DAY\" -o day.png  # a sheet of its letters
 handcast spell HELLO -o hello.jsonl --labels hello.letters",
     ),
     (

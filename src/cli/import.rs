@@ -8,7 +8,7 @@ use anyhow::{Context, ensure};
 use clap::Args as ClapArgs;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use handcast_codec::{PosesToStreamError, clip_rate};
-use handcast_formats::import::{ImportOptions, ImportReport, import_all};
+use handcast_formats::import::{ImportOptions, ImportReport, import_all, in_one_place};
 use handcast_formats::landmarks::{Axes, LandmarkClip};
 use handcast_formats::motion::{Content, Format, Motion, WriteError, at_even_times, span};
 use handcast_formats::person::{check_name, read_person, write_person};
@@ -161,6 +161,11 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     {
         write_person(path, &Person { name: None, hand: Some(info.side), morphology })?;
     }
+    if let Some(notice) = in_one_place(&hands, &reports) {
+        let pictured = hands.iter().flat_map(|hand| &hand.frames).any(|frame| frame.picture.is_some());
+        let way = if pictured { "; --image-size WxH of their picture puts them apart" } else { "" };
+        errln!("handcast: {}: {notice}{way}", args.input.display());
+    }
     for report in &reports {
         tell(report, args);
     }
@@ -275,10 +280,16 @@ fn told<'a>(
             path.display()
         );
     }
-    given::note_idle(
-        format_args!("{} has poses, which are written as they are", path.display()),
-        &["fov", "input_fps"],
-    );
+    let idle: &[&str] = if motion.rate_assumed { &["fov"] } else { &["fov", "input_fps"] };
+    given::note_idle(format_args!("{} has poses, which are written as they are", path.display()), idle);
+    let mut motion = match args.input_fps {
+        Some(rate) => motion.at_rate(rate),
+        None => motion,
+    };
+    if let Some(notice) = motion.rate_notice() {
+        motion.notes.retain(|note| *note != notice);
+        errln!("handcast: {}: {notice}; --input-fps tells another rate", path.display());
+    }
     motion.notes.iter().for_each(|note| errln!("handcast: {}: {note}", path.display()));
     // Keys are joined, as players do.
     let clip = if motion.keyed {
@@ -307,7 +318,9 @@ fn chosen(mut hands: Vec<LandmarkClip>, args: &Args) -> anyhow::Result<Vec<Landm
 fn tell(report: &ImportReport, args: &Args) {
     let side = report.side.name();
     if let Some(notice) = report.notice() {
-        errln!("handcast: {notice}; --hand overrules");
+        let axes =
+            if report.exchanged && report.named_surely { ", --input-axes tells other axes" } else { "" };
+        errln!("handcast: {notice}; --hand overrules{axes}");
     }
     if args.smooth.is_none()
         && let Some(trembling) = report.trembling()

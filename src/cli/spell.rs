@@ -8,7 +8,7 @@ use handcast_hand::shapes::{ShownLetter, Spelling, SpellingTempo};
 
 use super::common::write_output;
 use super::pose::{HandArgs, size};
-use super::poses_out::{Motion, OutArgs, write};
+use super::poses_out::{Motion, OutArgs, Output, write};
 use super::usage::within;
 
 /// Spells a word with the fingers (American Sign Language; J and Z without their movement).
@@ -17,7 +17,7 @@ pub struct Args {
     /// Letters, digits and spaces.
     #[arg(value_parser = text)]
     text: String,
-    /// File to write: .glb, .jsonl, .json, .csv, .bvh, .vrma, .webxr.json, .landmarks.jsonl, .pose, .bap or .png (a sheet of moments).
+    /// File to write: .glb, .jsonl, .json, .csv, .bvh, .vrma, .webxr.json, .landmarks.jsonl, .pose, .bap or .png (a sheet with a picture of each letter; of --fps, of moments).
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     /// Frames in which letters are held, for `bench labels --letters`: lines such as `58-82 I`; digits in lines that are notes
@@ -76,12 +76,12 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         }
     }
     let frames = (spelling.duration() * rate).ceil() as usize;
-    let poses = (0..=frames)
-        .map(|i| {
-            let time = i as f64 / rate;
-            (time, spelling.pose(time))
-        })
-        .collect();
+    let mut times: Vec<f64> = (0..=frames).map(|i| i as f64 / rate).collect();
+    let mut shown = spelling.shown().peekable();
+    if args.out.output(&args.output)? == Output::Picture && args.out.fps.is_none() && shown.peek().is_some() {
+        times = shown.map(|letter| 0.5 * (letter.from + letter.to)).collect();
+    }
+    let poses = times.into_iter().map(|time| (time, spelling.pose(time))).collect();
     let motion = Motion { side, morphology: args.hand.morphology()?, poses, rate: Some(rate) };
     write(motion, &args.output, &args.out, args.size)
 }

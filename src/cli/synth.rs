@@ -16,7 +16,7 @@ use handcast_vision::Mask;
 use image::codecs::png::PngEncoder;
 use image::{ImageBuffer, PixelWithColorType, RgbImage};
 
-use super::common::{Face, Hand, progress, write_output};
+use super::common::{Face, Hand, progress, told_name, write_output};
 use super::demo_clip;
 use super::files::try_file;
 
@@ -327,7 +327,8 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
             Some(_) => String::new(),
         };
         let (clip, frames) = (args.output.display(), synth.frames());
-        errln!("{clip}: {frames} frames; true poses in {}{told}", truth.display());
+        let truth = told_name(&truth);
+        errln!("{clip}: {frames} frames; true poses in {truth}{told}");
     }
     Ok(())
 }

@@ -296,3 +296,95 @@ fn motions_of_this_program_are_written_as_they_are() {
     assert!(piped.success());
     done(&["compare", &file("hi.jsonl"), path(&x), "--tolerance", "0.001"]);
 }
+
+/// What is not on the grid of the header's frame rates goes through all the same, at its times.
+#[test]
+fn rates_that_no_stream_has_come_back_at_their_times() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let (given, hand, slow) = (at("given.jsonl"), at("hand.fba"), at("slow.jsonl"));
+    let wrist = r#""wrist":{"translation":[0,0,-0.5],"rotation":[0,0,0,1]}"#;
+    for rate in [0.3, 3.3, 20.0 / 3.0, 100.0 / 11.0] {
+        let mut lines = format!(
+            "{{\"format\":\"handcast-poses\",\"version\":1,\"rate\":{rate},\"hands\":[{{\"side\":\"right\"}}]}}\n"
+        );
+        let bend = |i: u32| f64::from(i * 37 % 60);
+        for i in 0..30u32 {
+            let (t, bend) = (f64::from(i) / rate, bend(i));
+            lines += &format!(
+                "{{\"t\":{t:.6},\"hand\":\"right\",{wrist},\"angles\":{{\"index1_flexion\":{bend}}}}}\n"
+            );
+        }
+        std::fs::write(at("given.jsonl"), lines).unwrap();
+        for live in [&["--live"][..], &[]] {
+            let args = ["encode", path(&given), "-o", path(&hand), "--max-error", "0.3"];
+            let out = handcast(&[&args[..], live].concat());
+            let said = text(&out.stderr);
+            assert!(out.status.success() && said.contains("no stream has"), "{said}");
+            done(&["decode", path(&hand), "-o", path(&at("back.jsonl"))]);
+            let back = read_poses(&at("back.jsonl")).unwrap();
+            for i in 0..30u32 {
+                // In the middle of the time for which it is shown.
+                let time = (f64::from(i) + 0.45) / rate;
+                let shown = back.frames.iter().rev().find(|pose| pose.time <= time).unwrap();
+                let off = shown.pose.angle(JointAngle::Index1Flexion).to_degrees() - bend(i);
+                assert!(off.abs() < 0.31, "{rate}: {off} in frame {i}");
+            }
+        }
+        done(&["compare", path(&given), path(&hand)]);
+        done(&["fidelity", path(&given), "-q"]);
+    }
+    let header =
+        "{\"format\":\"handcast-poses\",\"version\":1,\"rate\":0.001,\"hands\":[{\"side\":\"right\"}]}\n";
+    std::fs::write(at("slow.jsonl"), format!("{header}{{\"t\":0,\"hand\":\"right\",{wrist}}}\n")).unwrap();
+    let none = at("slow.fba");
+    let args = ["encode", path(&slow), "-o", path(&none)];
+    refused(&args, &none, &["at least 1/128", "more.jsonl --fps 1"]);
+}
+
+#[test]
+fn frames_without_times_go_by_the_rate_that_is_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let poses = at("hand.jsonl");
+    done(&["spell", "HI", "-o", path(&poses)]);
+    let webxr = at("hand.webxr.json");
+    done(&["import", path(&poses), "-o", path(&webxr), "-q"]);
+    let mut document: Value = serde_json::from_str(&std::fs::read_to_string(&webxr).unwrap()).unwrap();
+    let frames = document["frames"].as_array_mut().unwrap();
+    frames.iter_mut().for_each(|frame| drop(frame.as_object_mut().unwrap().remove("time")));
+    let count = frames.len();
+    let hands: Vec<Value> = frames.iter().map(|frame| frame["hands"][0].clone()).collect();
+    document.as_object_mut().unwrap().remove("fps");
+    for (name, content) in [
+        ("list.json", json!(hands)),
+        ("frames.json", json!({ "frames": hands })),
+        ("bare.webxr.json", document),
+    ] {
+        std::fs::write(at(name), content.to_string()).unwrap();
+        let import = |more: &[&str]| {
+            let out =
+                handcast(&[&["import", path(&at(name)), "-o", path(&at("out.jsonl"))][..], more].concat());
+            assert!(out.status.success(), "{name}: {}", text(&out.stderr));
+            let clip = read_poses(&at("out.jsonl")).unwrap();
+            (clip.frames.len(), clip.frames.last().unwrap().time, text(&out.stderr))
+        };
+        let (frames, last, said) = import(&[]);
+        assert!(frames == count && (last - (count - 1) as f64 / 30.0).abs() < 1e-5, "{name}: {last}");
+        assert!(
+            said.contains("30 frames a second are taken for granted; --input-fps tells"),
+            "{name}: {said}"
+        );
+        let (_, last, said) = import(&["--input-fps", "72"]);
+        assert!((last - (count - 1) as f64 / 72.0).abs() < 1e-5, "{name}: {last}");
+        assert!(!said.contains("changes nothing") && !said.contains("taken for granted"), "{name}: {said}");
+    }
+}
+
+#[test]
+fn two_outputs_are_not_both_standard_output() {
+    let out = handcast(&["spell", "HI", "-o", "-", "--to", "bvh", "--labels", "-"]);
+    let said = text(&out.stderr);
+    assert!(!out.status.success() && out.stdout.is_empty(), "{said}");
+    assert!(said.contains("two outputs, and one standard output"), "{said}");
+}

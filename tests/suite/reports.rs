@@ -62,6 +62,9 @@ fn every_key_that_is_printed_is_described() {
     documented("fidelity", &done(&["fidelity", path(&clip), "--json"]));
     documented("fidelity --loss", &done(&["fidelity", DEMO_POSES, "--loss", "5%", "--seeds", "2", "--json"]));
 
+    let person = at("person.toml");
+    documented("fit", &done(&["fit", path(&clip), "-o", path(&person), "--json"]));
+
     std::fs::write(at("in/words.mp4"), "this is no video").unwrap();
     std::fs::write(at("in/notes.txt"), "these are words").unwrap();
     let said = done(&["corpus", path(&at("in")), "-o", path(&at("corpus")), "--json"]);

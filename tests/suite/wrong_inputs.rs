@@ -57,6 +57,10 @@ impl Folder {
         write("none-seen.jsonl", header);
         write("words.toml", b"these are words\n");
         write("few.toml", b"# no shape\n");
+        done("decode good.fba -o units.landmarks.jsonl");
+        let points = std::fs::read_to_string(folder.join("units.landmarks.jsonl")).unwrap();
+        write("units.landmarks.jsonl", points.replace("\"unit\":\"m\"", "\"unit\":\"mm\"").as_bytes());
+        write("bare.jsonl", &[header, b"{\"t\":0,\"hand\":\"right\",\"Wrist\":{}}\n"].concat());
     }
 
     fn at(&self, name: &str) -> PathBuf {
@@ -245,6 +249,12 @@ fn what_to_do_instead_is_told() {
         ("encode none-seen.jsonl --live -o -", "none-seen.jsonl: there is no pose of a hand in it"),
         ("render none-seen.jsonl -o x.png", "none-seen.jsonl: there is no pose of a hand in it"),
         ("send none-seen.jsonl --vmc 127.0.0.1:9", "none-seen.jsonl: there is no pose of a hand in it"),
+        ("import units.landmarks.jsonl -o x.jsonl", "numbers look like metres"),
+        (
+            "encode units.landmarks.jsonl -o x.fba",
+            "; `handcast import --hand-length-mm 190` brings a file of any unit",
+        ),
+        ("encode bare.jsonl -o x.fba", "line 2: missing field `wrist`"),
         ("compare good.fba none-seen.jsonl", "none-seen.jsonl: there is no pose of a hand in it"),
     ];
     refused(clips.map(|line| (line.to_owned(), track.to_owned())).into_iter().chain(ways.map(owned)));
@@ -331,6 +341,10 @@ fn masks_are_counted() {
     for number in [11, 12] {
         std::fs::remove_file(mask(number)).unwrap();
     }
+    assert_eq!(run("synth -o half.avi --masks h --frames 12 --size 120x90 -q").0, Some(0));
+    let (code, said) = run("track x.avi --mask h -o y.jsonl -q");
+    assert_eq!(code, Some(1));
+    assert!(said.contains("; a mask is as wide and as high as its frame, in pixels"), "{said}");
     // Of AVI files the pictures are counted, whatever their headers tell.
     let told = "m: 11 masks for the 12 frames of";
     for clip in ["x.avi", "shots"] {

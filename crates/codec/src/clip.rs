@@ -4,7 +4,7 @@ use std::borrow::Borrow;
 
 use handcast_fba::bap::{BapFrames, BapMask, TimedBapFrame, derive};
 use handcast_fba::plan::{PlanOptions, PlanReport};
-use handcast_fba::{DecodedFrame, Decoder, DecoderOptions, Record, SyntaxError};
+use handcast_fba::{DecodedFrame, Decoder, DecoderOptions, FrameRate, Record, SyntaxError};
 use handcast_hand::{Bridged, MAX_FRAMES, MAX_GAP, PoseClip, Side, TimedPose};
 use handcast_limits::{Excess, Limit, Limits};
 
@@ -183,6 +183,7 @@ pub(crate) fn tracks_on_ticks(
     max_gap: f64,
 ) -> [Bridged<'static, Box<dyn Iterator<Item = TimedPose> + Send + '_>>; 2] {
     let [left, right] = own_ticks_of(clip, rate);
+    let step = ticks_a_frame(clip, rate).map_or(1.0, f64::from) / rate;
     [(Side::Left, left), (Side::Right, right)].map(|(side, ticks)| {
         let track: Box<dyn Iterator<Item = _> + Send> = match ticks {
             Ok(own) => {
@@ -197,8 +198,26 @@ pub(crate) fn tracks_on_ticks(
                 Box::new(resampled.into_iter().map(move |f| TimedPose { time: f.time + delay, ..f }))
             }
         };
-        Bridged::new(track, 1.0 / rate, max_gap)
+        Bridged::new(track, step, max_gap)
     })
+}
+
+/// How many ticks there are to a frame of the clip where a stream of `rate` frames per second carries it since none can have
+/// its own rate: those between frames miss no pose.
+pub(crate) fn ticks_a_frame(clip: &PoseClip, rate: f64) -> Option<u32> {
+    let (carrying, ticks) = FrameRate::carrying(clip_rate(clip))?;
+    (ticks > 1 && carrying.per_second() == rate).then_some(ticks)
+}
+
+/// How far a pose is from the tick that it has, at most, seconds; of clips that keep their poses.
+pub(crate) fn farthest_tick(clip: &PoseClip, rate: f64) -> f64 {
+    let start = clip.frames.iter().map(|f| f.time).fold(f64::INFINITY, f64::min);
+    let hands = [Side::Left, Side::Right].into_iter().zip(own_ticks_of(clip, rate));
+    let off = hands.flat_map(|(side, ticks)| {
+        let ticks = ticks.unwrap_or_default().into_iter();
+        clip.of(side).zip(ticks).filter_map(move |(f, tick)| Some((tick? / rate - (f.time - start)).abs()))
+    });
+    off.fold(0.0, f64::max)
 }
 
 /// How far an interval may be from a multiple of a tick, and a pose from its own tick, in ticks.
@@ -1043,6 +1062,36 @@ mod tests {
             assert_eq!(added.pose, given.pose.interpolated(&next.pose, 0.5));
             let off = there.angles.iter().zip(&added.pose.angles).map(|(a, b)| (a - b).abs().to_degrees());
             assert!(off.fold(0.0, f64::max) < 0.31 && there != before && there != behind);
+        }
+    }
+
+    #[test]
+    fn rates_that_no_stream_has_keep_their_poses_and_times() {
+        for rate in [0.05, 0.07, 0.3, 1.1, 3.3, 20.0 / 3.0, 100.0 / 11.0, 10.1] {
+            let mut slow = clip(&[Side::Left, Side::Right]);
+            slow.header.rate = Some(rate);
+            slow.frames.iter_mut().for_each(|frame| frame.time *= 30.0 / rate);
+            // A frame that is missing is bridged where that is asked for.
+            slow.frames.retain(|frame| (frame.time * rate).round() != 20.0);
+            for (live, max_gap) in [(false, 0.0), (true, 0.0), (false, 2.5 / rate)] {
+                let plan = PlanOptions { live, mode: Target::MaxError(0.3), ..PlanOptions::default() };
+                let coded = encode_bridged(&slow, Profile::Hand, &plan, max_gap).unwrap();
+                assert_eq!(coded.bridged, if max_gap > 0.0 { 2 } else { 0 }, "{rate}");
+                let decoded = decode_poses(&coded.stream, None, DecoderOptions::default()).unwrap();
+                let (shown, tick) = (&decoded.clip, 1.0 / decoded.rate);
+                assert!(crate::notices::of_times(&slow, decoded.rate).unwrap().contains("of which one in "));
+                for frame in &slow.frames {
+                    let at = |pose: &&TimedPose| (pose.time - frame.time).abs() <= 0.51 * tick;
+                    let near: Vec<&TimedPose> = shown.of(frame.pose.side).filter(at).collect();
+                    let off = |pose: &&TimedPose| {
+                        let pairs = frame.pose.angles.iter().zip(&pose.pose.angles);
+                        pairs.map(|(a, b)| (a - b).abs().to_degrees()).fold(0.0, f64::max)
+                    };
+                    assert!(near.iter().any(|pose| off(pose) < 0.31), "{rate} {}", frame.time);
+                }
+                let end = |clip: &PoseClip| clip.frames.last().map_or(0.0, |frame| frame.time);
+                assert!((end(shown) - end(&slow)).abs() <= tick, "{rate}");
+            }
         }
     }
 

@@ -29,7 +29,8 @@ pub struct PoseEncoderOptions {
     pub sizes: Vec<ClipHand>,
     /// The tone of the skin, 1 to 10, where it is known: it travels in the same record.
     pub skin_tone: Option<u8>,
-    /// Frames per second of the stream; the nearest sixteenth is written.
+    /// Frames per second of the stream; the nearest sixteenth is written, or that nearest to a multiple
+    /// ([`FrameRate::carrying`]).
     pub rate: f64,
 }
 
@@ -162,7 +163,8 @@ impl PoseEncoder {
     /// # Errors
     /// A rate that a stream cannot have, no hands, a parameter of the planner outside its range.
     pub fn new(options: PoseEncoderOptions) -> Result<Self, PosesToStreamError> {
-        let rate = FrameRate::nearest(options.rate).ok_or(PosesToStreamError::Rate { rate: options.rate })?;
+        let (rate, _) =
+            FrameRate::carrying(options.rate).ok_or(PosesToStreamError::Rate { rate: options.rate })?;
         if options.hands.is_empty() {
             let allowed = "1 or 2";
             return Err(EncodeError::Parameter { what: "number of hands", value: 0.0, allowed }.into());

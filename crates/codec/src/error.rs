@@ -15,7 +15,7 @@ pub enum PosesToStreamError {
         frames: usize,
     },
     /// The frame rate cannot be written in a stream.
-    #[error("encode: frame rate {rate} per second, allowed 1/16 to 255 15/16")]
+    #[error("encode: frame rate {rate} per second, allowed {}", if *rate > 1.0 { "at most 255 15/16" } else { "at least 1/128" })]
     Rate {
         /// Frames per second.
         rate: f64,

@@ -1,9 +1,10 @@
 //! What is worth saying of what was coded, in words: the command prints it, the Python package warns of it.
 
+use handcast_fba::FrameRate;
 use handcast_fba::plan::{PlanReport, Target};
 use handcast_hand::{Absence, Bridged, PoseClip, Side, TimedPose};
 
-use super::clip::{clip_rate, hands_of, poses_keep, tracks_on_ticks};
+use super::clip::{clip_rate, farthest_tick, hands_of, poses_keep, ticks_a_frame, tracks_on_ticks};
 use super::damage::Damage;
 use super::mapping::{Profile, REACH};
 use super::tips::TipError;
@@ -152,13 +153,29 @@ pub fn of_damage(damage: &Damage, held: &str) -> Vec<String> {
     first.chain(further).chain(abandoned).collect()
 }
 
-/// That poses are not on the ticks of `rate` frames a second.
+/// That poses are not on the ticks of `rate` frames a second, or that several of these make a frame.
 pub fn of_times(clip: &PoseClip, rate: f64) -> Option<String> {
-    (!poses_keep(clip, rate)).then(|| {
-        format!(
+    if !poses_keep(clip, rate) {
+        return Some(format!(
             "the poses come at uneven times or at another rate, and are interpolated at {rate:.2} frames/s"
-        )
-    })
+        ));
+    }
+    ticks_a_frame(clip, rate).map(|ticks| held(clip_rate(clip), rate, ticks, farthest_tick(clip, rate)))
+}
+
+/// That none of the rates that a stream can have is near to `rate` frames a second, of values that have that one.
+pub fn of_rate(rate: f64) -> Option<String> {
+    let (found, ticks) = FrameRate::carrying(rate).filter(|(_, ticks)| *ticks > 1)?;
+    Some(held(rate, found.per_second(), ticks, 0.5 / found.per_second()))
+}
+
+/// How a rate that no stream has is sent, each frame up to `off` seconds from its time.
+fn held(own: f64, rate: f64, ticks: u32, off: f64) -> String {
+    format!(
+        "no stream has {own:.4} frames/s: this one has {rate:.4}, of which one in {ticks} begins a frame, at most {:.1} ms \
+         from its time, and the others hold it",
+        off * 1e3
+    )
 }
 
 /// That what an encoder aimed at was missed, by its report and how far fingertips are off.

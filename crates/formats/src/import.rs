@@ -2,11 +2,11 @@
 
 use std::collections::VecDeque;
 
-use nalgebra::Point3;
+use nalgebra::{Point3, Vector3};
 
 use super::landmarks::{Axes, AxesSource, Camera, LandmarkClip, LandmarkFrame};
 use handcast_hand::landmarks::{
-    Fit, JointPoints, LANDMARKS_21, LandmarkError, PoseSolver, SideTrial, SolverOptions, bone_spread,
+    Fit, JointPoints, LANDMARKS_21, LandmarkError, PALM, PoseSolver, SideTrial, SolverOptions, bone_spread,
     hand_length, measure, placed_on_lines, tell_side,
 };
 use handcast_hand::smooth::{Jitter, SmoothOptions, smooth_recording};
@@ -19,10 +19,14 @@ pub const MEAN_HAND_LENGTH: f64 = 0.189;
 pub const FIELD_OF_VIEW: f64 = 60.0 * std::f64::consts::PI / 180.0;
 /// How much better hands must fit the other way round before the names a source gives them are exchanged.
 const EXCHANGED: f64 = 1.1;
+/// The same where names are mostly right, and how badly they must fit as they are, metres: flat hands that are splayed reach 2.6,
+/// fifths of a second of them by Leap Motion, within 2 mm.
+const FAR_BETTER: f64 = 3.0;
+const BADLY: f64 = 4e-3;
 /// Spread of the lengths of bones from which on their directions are believed rather than the places of their ends: above
 /// what markers on the skin have, below learned trackers ([`bone_spread`]).
 const STRETCHING: f64 = 0.08;
-/// Frames in which a hand seen in pictures alone is tried as left and right.
+/// Frames in which a hand is tried as left and right where its side is told, or it is seen in pictures alone.
 const TRIED: usize = 12;
 
 /// How to import.
@@ -87,6 +91,8 @@ pub struct ImportReport {
     pub trial: Option<SideTrial>,
     /// Whether it is the other side than the one the source names: that of the hand in a mirrored picture.
     pub exchanged: bool,
+    /// Whether the source's names of sides are mostly right.
+    pub named_surely: bool,
     /// Metres in one unit of the source.
     pub metres: f64,
     /// The axes of the points as they were read.
@@ -143,6 +149,13 @@ impl ImportReport {
     pub fn notice(&self) -> Option<String> {
         let side = self.side.name();
         match self.trial {
+            Some(trial) if self.exchanged && self.named_surely => Some(format!(
+                "the hand called {} fits far better as a {side} one ({:.1} against {:.1} mm), as where the sides or the axes \
+                 of a file are exchanged: it is taken for that",
+                self.side.other().name(),
+                trial.left.min(trial.right) * 1e3,
+                trial.left.max(trial.right) * 1e3,
+            )),
             _ if self.exchanged => Some(format!(
                 "the hand called {} fits as a {side} one, as in a picture that was not mirrored: it is taken for that",
                 self.side.other().name()
@@ -219,6 +232,35 @@ pub fn import_all(
     Ok((all, reports))
 }
 
+/// How near to one another the middles of two hands are that lie in one place, metres.
+const ONE_PLACE: f64 = 0.05;
+
+/// That two hands whose places are not told lie in one another, in words.
+pub fn in_one_place(hands: &[LandmarkClip], reports: &[ImportReport]) -> Option<String> {
+    let [one, two] = hands else { return None };
+    if reports.iter().any(|report| report.placed) {
+        return None;
+    }
+    let middle = |clip: &LandmarkClip, frame: &LandmarkFrame| {
+        let points = || frame.points.iter().flatten();
+        let sum: Vector3<f64> = points().map(|p| p.coords).sum();
+        (points().next().is_some()).then(|| sum * (clip.metres.unwrap_or(1.0) / points().count() as f64))
+    };
+    let mut others = two.frames.iter().peekable();
+    let mut apart: Vec<f64> = Vec::new();
+    for frame in &one.frames {
+        while others.next_if(|other| other.time < frame.time).is_some() {}
+        if let Some(other) = others.peek().filter(|other| other.time == frame.time)
+            && let (Some(a), Some(b)) = (middle(one, frame), middle(two, other))
+        {
+            apart.push((a - b).norm());
+        }
+    }
+    apart.sort_by(f64::total_cmp);
+    let near = apart.get(apart.len() / 2).is_some_and(|apart| *apart < ONE_PLACE);
+    near.then(|| "it does not tell where the two hands are: both are put in one place".into())
+}
+
 /// Which hand it is, and how that became known.
 #[derive(Clone, Copy)]
 struct Told {
@@ -228,9 +270,17 @@ struct Told {
 }
 
 fn told(clip: &LandmarkClip, source: &Source, options: &ImportOptions) -> Result<Told, LandmarkError> {
-    let sure = options.side.or(clip.side.filter(|_| !clip.side_unsure));
-    if let Some(side) = sure {
+    if let Some(side) = options.side {
         return Ok(Told { side, trial: None, exchanged: false });
+    }
+    if let Some(side) = clip.side.filter(|_| !clip.side_unsure) {
+        let trial = source.few().and_then(|few| tell_side(&few).ok());
+        let trial = trial.filter(|trial| {
+            let off = trial.left.max(trial.right);
+            trial.side() != side && trial.ratio() > FAR_BETTER && off > BADLY
+        });
+        let exchanged = trial.is_some();
+        return Ok(Told { side: if exchanged { side.other() } else { side }, trial, exchanged });
     }
     let trial = source.tell_side(options);
     Ok(match clip.side {
@@ -320,6 +370,11 @@ impl Source {
             return Ok(Self { metres: 1.0, frames, rays, lifted, flat, placed: true, axes });
         }
         let metres = scale(clip, options, &frames).ok_or(LandmarkError::NoPalm)?;
+        if let (Some(metres), None) = (clip.metres, options.hand_length)
+            && let Some(length) = hand_length(&frames)
+        {
+            check_unit(length, metres)?;
+        }
         for point in frames.iter_mut().flatten().flatten() {
             *point = Point3::from(point.coords * metres);
         }
@@ -334,6 +389,14 @@ impl Source {
         }
         let lifted = vec![None; frames.len()];
         Ok(Self { metres, frames, rays, lifted, flat, placed, axes })
+    }
+
+    /// Some frames that show the whole palm in space.
+    fn few(&self) -> Option<Vec<JointPoints>> {
+        let whole = |points: &&JointPoints| PALM.iter().all(|joint| points[joint.index()].is_some());
+        let whole: Vec<&JointPoints> = self.frames.iter().filter(whole).collect();
+        let step = whole.len().div_ceil(TRIED).max(1);
+        (!whole.is_empty()).then(|| whole.into_iter().step_by(step).copied().collect())
     }
 
     /// Solves some frames as either hand.
@@ -395,6 +458,7 @@ impl Source {
         let expected = if clip.points_per_frame == 21 { LANDMARKS_21.len() } else { Joint::COUNT };
         let stretching = bone_spread(&self.frames).is_some_and(|spread| spread > STRETCHING);
         let mut track = Track::new(told, options);
+        track.report.named_surely = clip.side.is_some() && !clip.side_unsure;
         for (i, frame) in clip.frames.iter().enumerate() {
             let fit = match (&self.rays[i], self.flat) {
                 (Some(rays), true) => solver.solve_seen(rays, self.lifted[i].as_ref()),
@@ -440,6 +504,7 @@ impl<'a> Track<'a> {
             side: told.side,
             trial: told.trial,
             exchanged: told.exchanged,
+            named_surely: false,
             metres: 1.0,
             axes: Axes::default(),
             axes_from: AxesSource::default(),
@@ -509,6 +574,23 @@ impl<'a> Track<'a> {
     }
 }
 
+/// Lengths of hands that a unit may be known by, metres.
+const LIKELY: std::ops::Range<f64> = 0.1..0.28;
+/// Units that numbers may be in, metres.
+const UNITS: [(&str, f64); 3] = [("metres", 1.0), ("centimetres", 0.01), ("millimetres", 0.001)];
+
+/// That a hand of this length, in units of so many metres, is as long as hands are.
+fn check_unit(length: f64, metres: f64) -> Result<(), LandmarkError> {
+    let [shortest, longest] = Morphology::LENGTHS;
+    if (shortest..=longest).contains(&(length * metres)) {
+        return Ok(());
+    }
+    match UNITS.into_iter().find(|(_, unit)| LIKELY.contains(&(length * unit))) {
+        Some((looks, _)) => Err(LandmarkError::Unit { length: length * metres, looks }),
+        None => Ok(()),
+    }
+}
+
 fn scale(clip: &LandmarkClip, options: &ImportOptions, frames: &[JointPoints]) -> Option<f64> {
     if let Some(length) = options.hand_length {
         return Some(length / hand_length(frames)?);
@@ -567,6 +649,71 @@ mod tests {
             };
             assert!((frame.pose.angle(Finger::Ring.middle_flexion()) - expected).abs() < 0.02, "{i}");
         }
+    }
+
+    #[test]
+    fn hands_called_by_the_other_side_are_told() {
+        let mut source = clip(|_, _| false);
+        source.metres = Some(1e-4);
+        source.side = Some(Side::Left);
+        let found = |source: &LandmarkClip| import(source, &ImportOptions::default()).unwrap().1;
+        let good = found(&source);
+        assert!(!good.exchanged && good.trial.is_none() && good.notice().is_none());
+        source.side = Some(Side::Right);
+        let wrong = found(&source);
+        assert_eq!((wrong.side, wrong.exchanged), (Side::Left, true));
+        assert!(
+            wrong.mean_distance < 1e-4 && wrong.notice().unwrap().contains("fits far better as a left one")
+        );
+        let asked = ImportOptions { side: Some(Side::Right), ..ImportOptions::default() };
+        assert!(!import(&source, &asked).unwrap().1.exchanged);
+        // Axes that are not as the file says mirror a hand as well.
+        source.side = Some(Side::Left);
+        source.axes = Axes::Unity;
+        assert_eq!(found(&source).side, Side::Right);
+        // Names of an open hand are believed.
+        source.axes = Axes::Webxr;
+        source.frames.truncate(2);
+        source.side = Some(Side::Right);
+        assert!(!found(&source).exchanged);
+    }
+
+    #[test]
+    fn wrong_units_are_named() {
+        let mut source = clip(|_, _| false);
+        for (metres, scale, looks) in
+            [(1.0, 0.1, "millimetres"), (1.0, 0.01, "centimetres"), (0.001, 1e-4, "metres")]
+        {
+            let mut wrong = source.clone();
+            wrong.metres = Some(metres);
+            for point in wrong.frames.iter_mut().flat_map(|f| &mut f.points).flatten() {
+                *point *= scale;
+            }
+            let said = import(&wrong, &ImportOptions::default()).unwrap_err().to_string();
+            assert!(said.contains("m long, and its numbers look like ") && said.contains(looks), "{said}");
+            let told = ImportOptions { hand_length: Some(0.18), ..ImportOptions::default() };
+            assert!(import(&wrong, &told).is_ok());
+        }
+        source.metres = Some(1e-4);
+        assert!(import(&source, &ImportOptions::default()).is_ok());
+    }
+
+    #[test]
+    fn two_hands_in_one_place_are_told() {
+        let mut hands = [clip(|_, _| false), clip(|_, _| false)];
+        for (hand, side) in hands.iter_mut().zip([Side::Left, Side::Right]) {
+            (hand.metres, hand.side, hand.centred) = (Some(1e-4), Some(side), true);
+        }
+        let told = |hands: &[LandmarkClip]| {
+            let (_, reports) = import_all(hands, &ImportOptions::default()).unwrap();
+            in_one_place(hands, &reports)
+        };
+        assert!(told(&hands).unwrap().contains("both are put in one place"));
+        assert_eq!(told(&hands[..1]), None);
+        for point in hands[0].frames.iter_mut().flat_map(|f| &mut f.points).flatten() {
+            point.x += 2000.0;
+        }
+        assert_eq!(told(&hands), None);
     }
 
     #[test]

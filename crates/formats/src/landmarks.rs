@@ -27,10 +27,10 @@ pub use axes::{Axes, AxesSource, Camera};
 use nalgebra::{Point2, Point3};
 use thiserror::Error;
 
-use super::import::{ImportOptions, import_all};
+use super::import::{ImportOptions, import_all, in_one_place};
 use super::lines::unmarked;
 use super::motion::format::{NotKnown, is_json};
-use super::motion::{Content, ContentError, Format, Motion, bvh};
+use super::motion::{Content, ContentError, Format, Motion, bvh, rate_notice};
 use handcast_hand::landmarks::{JointPoints, from_landmarks_21, move_tips_to_ends};
 use handcast_hand::{JointAngle, MAX_TIME, Side};
 use handcast_limits::{Limit, Limits};
@@ -137,7 +137,7 @@ impl LandmarkClip {
     /// That its rate is taken for granted, where there is more than one frame.
     pub fn rate_notice(&self) -> Option<String> {
         let rate = self.rate.filter(|_| self.rate_assumed && self.frames.len() > 1)?;
-        Some(format!("it tells no times: {rate} frames a second are taken for granted"))
+        Some(rate_notice(rate))
     }
 
     /// Points of a frame with the tips at the ends of the fingers.
@@ -368,12 +368,12 @@ impl LandmarkClip {
             let format = document.format.id;
             let most = if document.binary { limits.bytes } else { MAX_DOCUMENT_BYTES };
             let bytes = whole(reader, most).map_err(io_error)?;
-            let checked = if document.binary {
-                limits.check_count(Limit::Bytes, bytes.len()).map_err(|excess| excess.to_string())
+            let clips = if document.binary {
+                let checked = limits.check_count(Limit::Bytes, bytes.len());
+                checked.map_err(|excess| excess.to_string()).and_then(|()| (document.parse)(&bytes, limits))
             } else {
-                check_size(&bytes)
+                parsed(document.parse, &bytes, limits)
             };
-            let clips = checked.and_then(|()| (document.parse)(&bytes, limits));
             return clips.map_err(|what| LandmarkFileError::Foreign { path: path.into(), format, what });
         }
         if is_json(start) && !lines {
@@ -415,8 +415,47 @@ fn read_document(
     bytes: &[u8],
     limits: &Limits,
 ) -> Result<Content, ContentError> {
-    let clips = check_size(bytes).and_then(|()| parse(bytes, limits));
+    let clips = parsed(parse, bytes, limits);
     Ok(Content::Joints(clips.map_err(|what| ContentError::Foreign { format: format.id, what })?))
+}
+
+/// The recordings of a text of JSON. What is no number by the name that Python writes for it is what is missing.
+fn parsed(
+    parse: fn(&[u8], &Limits) -> Result<Vec<LandmarkClip>, String>,
+    text: &[u8],
+    limits: &Limits,
+) -> Result<Vec<LandmarkClip>, String> {
+    check_size(text)?;
+    parse(text, limits).or_else(|what| null_for_nan(text).map_or(Err(what), |text| parse(&text, limits)))
+}
+
+/// What programs write that is no JSON, in place of a number.
+const NO_NUMBERS: [&[u8]; 3] = [b"NaN", b"Infinity", b"-Infinity"];
+
+/// The text with `null` for each of [`NO_NUMBERS`]; `None` where there are none.
+fn null_for_nan(text: &[u8]) -> Option<Vec<u8>> {
+    let (mut out, mut rest) = (Vec::new(), text);
+    let (mut quoted, mut kept) = (false, 0);
+    while let Some(&byte) = rest.get(kept) {
+        let none = NO_NUMBERS.iter().find(|name| !quoted && rest[kept..].starts_with(name));
+        match (byte, none) {
+            (_, Some(name)) => {
+                out.extend_from_slice(&rest[..kept]);
+                out.extend_from_slice(b"null");
+                (rest, kept) = (&rest[kept + name.len()..], 0);
+                continue;
+            }
+            (b'\\', _) if quoted => kept += 1,
+            (b'"', _) => quoted = !quoted,
+            _ => {}
+        }
+        kept += 1;
+    }
+    if out.is_empty() {
+        return None;
+    }
+    out.extend_from_slice(rest);
+    Some(out)
 }
 
 /// All bytes of a file, and one more than `most` of a larger one.
@@ -442,6 +481,7 @@ pub(crate) fn solved(format: &'static Format, hands: &[LandmarkClip]) -> Result<
     let mut notes: BTreeSet<String> = hands.iter().flat_map(|hand| hand.notes.clone()).collect();
     notes.extend(hands.iter().filter_map(LandmarkClip::rate_notice));
     notes.extend(reports.iter().flat_map(|report| [report.notice(), report.trembling()]).flatten());
+    notes.extend(in_one_place(hands, &reports));
     Ok(Motion {
         notes: notes.into_iter().collect(),
         placed: reports.iter().all(|report| report.placed),
@@ -492,6 +532,30 @@ mod tests {
     use super::*;
     use crate::motion::WriteOptions;
     use crate::motion::tests::feasible;
+
+    #[test]
+    fn what_is_no_number_is_missing() {
+        let text = br#"[{"NaN\"NaN":[NaN,-Infinity, Infinity,1]}]"#;
+        assert_eq!(null_for_nan(text).unwrap(), br#"[{"NaN\"NaN":[null,null, null,1]}]"#);
+        assert_eq!(null_for_nan(br#"["NaN",1]"#), None);
+        let point = |k: usize| format!("{{\"x\":0.{k},\"y\":0.1,\"z\":0.2}}");
+        let result = |points: Vec<String>| format!("{{\"worldLandmarks\":[[{}]]}}", points.join(","));
+        let (good, mut bad) =
+            ((0..21).map(point).collect::<Vec<_>>(), (0..21).map(point).collect::<Vec<_>>());
+        bad[3] = "{\"x\":NaN,\"y\":NaN,\"z\":NaN}".into();
+        bad[4] = "[NaN,NaN,NaN]".into();
+        bad[5] = "[0.1,0.2,NaN]".into();
+        let text = format!("[{},{}]", result(good), result(bad));
+        let read =
+            |text: &str| LandmarkClip::read_all_from("-".as_ref(), text.as_bytes(), &Limits::default());
+        let clip = read(&text).unwrap().remove(0);
+        assert_eq!(clip.frames[1].points.iter().flatten().count(), 18);
+        let joint = |k: usize| format!("[0.0{k},0,0]");
+        let mut joints: Vec<String> = (0..26).map(joint).collect();
+        joints[7] = "[NaN,NaN,NaN]".into();
+        let clip = read(&format!("[{{\"t\":1,\"joints\":[{}]}}]", joints.join(","))).unwrap().remove(0);
+        assert_eq!(clip.frames[0].points.iter().flatten().count(), 24);
+    }
 
     #[test]
     fn files_with_a_byte_order_mark_are_read_as_without() {

@@ -89,7 +89,7 @@ impl BapTrack {
         header: &PoseHeader,
         plan: PlanOptions,
     ) -> Result<(Vec<u8>, PlanReport), PosesToStreamError> {
-        let rate = FrameRate::nearest(self.rate).ok_or(PosesToStreamError::Rate { rate: self.rate })?;
+        let (rate, _) = FrameRate::carrying(self.rate).ok_or(PosesToStreamError::Rate { rate: self.rate })?;
         let record = record_of(&header.hands, header.skin_tone);
         Ok(encode_clip(&self.frames, &PlanOptions { rate, record, ..for_hands(plan) })?)
     }
@@ -126,6 +126,8 @@ pub struct Motion {
     /// Whether instants between two poses of the file are defined by interpolation, so that poses may be missing where
     /// interpolation gives them back.
     pub keyed: bool,
+    /// Whether its times go by a rate that is taken for granted, since the file tells neither.
+    pub rate_assumed: bool,
     /// The joint angles it tells, in the order of [`JointAngle::ALL`].
     pub angles: Vec<JointAngle>,
     /// What solving for poses found, of joint positions.
@@ -399,10 +401,29 @@ impl Motion {
             baps: None,
             placed: true,
             keyed: false,
+            rate_assumed: false,
             angles: JointAngle::ALL.to_vec(),
             import: None,
             notes: Vec::new(),
         }
+    }
+
+    /// The same at another rate, frames a second, where its own is taken for granted.
+    #[must_use]
+    pub fn at_rate(mut self, rate: f64) -> Self {
+        if let Some(assumed) = self.clip.header.rate.filter(|_| self.rate_assumed) {
+            let notice = self.rate_notice();
+            self.notes.retain(|note| Some(note) != notice.as_ref());
+            (self.clip.header.rate, self.rate_assumed) = (Some(rate), false);
+            self.clip.frames.iter_mut().for_each(|pose| pose.time *= assumed / rate);
+        }
+        self
+    }
+
+    /// That its rate is taken for granted, where there is more than one frame.
+    pub fn rate_notice(&self) -> Option<String> {
+        let rate = self.clip.header.rate.filter(|_| self.rate_assumed && self.clip.frames.len() > 1)?;
+        Some(rate_notice(rate))
     }
 
     fn from_baps(format: &'static Format, baps: BapTrack, limits: &Limits) -> Result<Self, ContentError> {
@@ -412,6 +433,11 @@ impl Motion {
         let (clip, profile) = poses_from_frames_within(&baps.frames, baps.rate, limits)?;
         Ok(Self { placed: profile == Profile::Hand, baps: Some(baps), ..Self::of(format, clip) })
     }
+}
+
+/// That a rate is taken for granted.
+pub(crate) fn rate_notice(rate: f64) -> String {
+    format!("it tells no times: {rate} frames a second are taken for granted")
 }
 
 /// Seconds from the first pose of a clip to its last.

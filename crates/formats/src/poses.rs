@@ -187,8 +187,7 @@ pub(super) struct FrameLine(pub TimedPose);
 struct FrameData {
     t: f64,
     hand: Side,
-    #[serde(default)]
-    wrist: WristData,
+    wrist: Option<WristData>,
     #[serde(default)]
     angles: Degrees,
     confidence: Option<f64>,
@@ -203,6 +202,8 @@ impl TryFrom<FrameData> for FrameLine {
 
     fn try_from(line: FrameData) -> Result<Self, String> {
         let FrameData { t: time, hand, wrist, angles, confidence, iou, valid, why } = line;
+        // A hand that was lost may be nowhere.
+        let wrist = wrist.or_else(|| (!valid).then(WristData::default)).ok_or("missing field `wrist`")?;
         let pose = HandPose::try_from(PoseData { hand, wrist, angles })?;
         Ok(Self(TimedPose { time, pose, confidence, iou, valid, why }))
     }
@@ -470,7 +471,13 @@ pub(crate) fn json_message(error: &serde_json::Error) -> String {
         Some(at) => format!("{}, column {}", &text[..at], error.column()),
         None => text,
     };
-    if error.is_data() { what } else { format!("not JSON: {what}") }
+    match what.strip_prefix("expected value") {
+        _ if error.is_data() => what,
+        Some(at) => format!(
+            "not JSON: expected value (NaN and Infinity are none, null stands for what is missing){at}"
+        ),
+        None => format!("not JSON: {what}"),
+    }
 }
 
 /// Writes a pose file frame by frame.
@@ -774,8 +781,20 @@ mod tests {
         ];
         let expected = write_lines(&PoseClip { header: both.clone(), frames }).unwrap();
         assert_eq!(String::from_utf8(copied), String::from_utf8(expected));
-        let cut = copy_lines(&b"{\"t\":0,\"hand\":\"right\"}\n{\"t\":1"[..], &both, Vec::new(), before);
+        let cut = copy_lines(format!("{}\n{{\"t\":1", pose_at(0)).as_bytes(), &both, Vec::new(), before);
         assert!(cut.unwrap_err().to_string().contains("line 2"));
+    }
+
+    /// A line of a right hand.
+    fn pose_at(time: i64) -> String {
+        let wrist = r#"{"translation":[0,0,0],"rotation":[0,0,0,1]}"#;
+        format!("{{\"t\":{time},\"hand\":\"right\",\"wrist\":{wrist}}}")
+    }
+
+    #[test]
+    fn hands_that_were_lost_need_no_wrist() {
+        let clip = read(&format!("{HEADER}\n{{\"t\":0,\"hand\":\"right\",\"valid\":false}}\n")).unwrap();
+        assert!(!clip.frames[0].valid);
     }
 
     proptest! {
@@ -827,7 +846,7 @@ mod tests {
         #[test]
         fn damaged_files_never_panic(at in 0usize..400, byte in any::<u8>(), cut in 0usize..400) {
             let mut bytes =
-                format!("{HEADER}\n{{\"t\":0,\"hand\":\"right\",\"angles\":{{\"index1_flexion\":5}}}}\n").into_bytes();
+                format!("{HEADER}\n{}\n", pose_at(0).replace("}}", "},\"angles\":{\"index1_flexion\":5}}")).into_bytes();
             let n = bytes.len();
             bytes[at % n] = byte;
             bytes.truncate(n - cut % n);
@@ -847,10 +866,12 @@ mod tests {
         assert!(refused(&HEADER.replace(r#"{"side":"right"}"#, "")).contains("0 hands"));
         let frame = |line: &str| refused(&format!("{HEADER}\n\n{line}\n"));
         assert!(frame("{").starts_with("poses: line 3: "));
-        assert!(frame(r#"{"t":0,"hand":"left"}"#).contains("left hand is not named in the header"));
-        assert!(frame(r#"{"t":0,"hand":"right","iou":1.5}"#).contains("iou is 1.5, allowed 0 to 1"));
+        assert!(frame(&pose_at(0).replace("right", "left")).contains("left hand is not named in the header"));
+        let bare = frame(r#"{"t":0,"hand":"right","Wrist":{}}"#);
+        assert!(bare.contains("line 3: missing field `wrist`"), "{bare}");
+        assert!(frame(&pose_at(0).replace("}}", "},\"iou\":1.5}")).contains("iou is 1.5, allowed 0 to 1"));
         assert!(frame(r#"{"t":0,"hand":"right","angles":{"x":1}}"#).contains("no joint angle is called"));
-        let text = frame("{\"t\":1,\"hand\":\"right\"}\n{\"t\":1,\"hand\":\"right\"}");
+        let text = frame(&format!("{}\n{}", pose_at(1), pose_at(1)));
         assert!(text.starts_with("poses: line 4: t is 1 s, not after 1 s"), "{text}");
         let long = format!("{{\"t\":0,\"hand\":\"right\",\"x\":\"{}\"}}", "y".repeat(MAX_LINE_BYTES));
         assert!(frame(&long).contains("longer than the 65536 bytes allowed"));
@@ -862,7 +883,8 @@ mod tests {
         let count = 5 * BLOCK_BYTES / 4 / 60;
         let line = |n: usize| {
             let bend = n % 90;
-            let line = format!("{{\"t\":{n},\"hand\":\"right\",\"angles\":{{\"index1_flexion\":{bend}}}}}");
+            let line =
+                pose_at(n as i64).replace("}}", &format!("}},\"angles\":{{\"index1_flexion\":{bend}}}}}"));
             line + &"\n".repeat(if n.is_multiple_of(1000) { 8 } else { 1 })
         };
         let lines: Vec<String> = (0..count).map(line).collect();
@@ -883,7 +905,7 @@ mod tests {
             for wrong in [
                 "{\n",
                 "\u{0}\n",
-                "{\"t\":-1,\"hand\":\"right\"}\n{\"t\":-1,\"hand\":\"right\"}",
+                &format!("{}\n{}", pose_at(-1), pose_at(-1)),
                 &"y".repeat(70_000),
                 &"y".repeat(3 << 20),
             ] {
@@ -909,7 +931,7 @@ mod tests {
 
     #[test]
     fn a_reader_stops_at_the_first_error() {
-        let text = format!("{HEADER}\n{{\n{{\"t\":0,\"hand\":\"right\"}}\n");
+        let text = format!("{HEADER}\n{{\n{}\n", pose_at(0));
         let mut reader = PoseReader::new(text.as_bytes()).unwrap();
         assert!(reader.next().unwrap().is_err());
         assert!(reader.next().is_none());

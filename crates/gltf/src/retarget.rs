@@ -62,6 +62,12 @@ pub enum RigError {
         /// What is missing.
         what: String,
     },
+    /// A hand is there, and may be either.
+    #[error(
+        "rig: left or right cannot be told from the joints; a joint map says which is which: a line hand = \"right\" before \
+         [joints], or \"left\""
+    )]
+    NoSide,
     /// A joint map names what is not there.
     #[error("rig: joint map: {what}")]
     Map {

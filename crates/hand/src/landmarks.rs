@@ -8,7 +8,7 @@
 mod measure;
 mod rays;
 
-pub use measure::{SideTrial, bone_spread, hand_length, measure, tell_side};
+pub use measure::{SideTrial, bone_spread, hand_length, measure, measure_posed, tell_side};
 use nalgebra::{
     Cholesky, DMatrix, DVector, Isometry3, Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3,
 };
@@ -100,7 +100,7 @@ pub const LANDMARKS_21: [Joint; 21] = {
 };
 
 /// The joints of the palm, which moves as one piece but for its bends.
-const PALM: [Joint; 6] = {
+pub const PALM: [Joint; 6] = {
     use Joint::*;
     [Wrist, ThumbMetacarpal, IndexProximal, MiddleProximal, RingProximal, PinkyProximal]
 };
@@ -146,6 +146,16 @@ pub enum LandmarkError {
     /// Wrist, thumb base and the four knuckles are never seen together.
     #[error("landmarks: no frame shows the wrist, the thumb's base and the four knuckles together")]
     NoPalm,
+    /// The hand is too long or too short in the unit that the source has.
+    #[error(
+        "landmarks: the hand would be {length:.4} m long, and its numbers look like {looks}: allowed are 0.05 to 0.4 m"
+    )]
+    Unit {
+        /// Metres.
+        length: f64,
+        /// The unit in which it would be as long as hands are.
+        looks: &'static str,
+    },
     /// Joints are known in a picture alone, and not how large it is.
     #[error("landmarks: joints in a picture alone, whose size in pixels is not told")]
     NoPictureSize,

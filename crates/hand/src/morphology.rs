@@ -211,6 +211,9 @@ impl Default for Morphology {
 }
 
 impl Morphology {
+    /// Shortest and longest hand, metres.
+    pub const LENGTHS: [f64; 2] = [0.05, 0.40];
+
     /// Mean proportions at a hand length in metres: knuckles of the standard's suggested body drawn
     /// together to the mean palm's breadth, phalanges and radii in the ratios of published anthropometry.
     pub fn average(hand_length: f64) -> Self {
@@ -315,7 +318,7 @@ impl Morphology {
                 Err(MorphologyError::Size { what: what(), value, min, max })
             }
         };
-        check(&|| "hand_length".into(), self.hand_length, 0.05, 0.40)?;
+        check(&|| "hand_length".into(), self.hand_length, Self::LENGTHS[0], Self::LENGTHS[1])?;
         let hand = self.hand_length;
         check(&|| "palm_radius".into(), self.palm_radius, 0.01 * hand, 0.5 * hand)?;
         check(&|| "wrist_half_width".into(), self.wrist_half_width, 0.02 * hand, 0.5 * hand)?;

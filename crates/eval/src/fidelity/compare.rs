@@ -7,6 +7,7 @@ use serde::Serialize;
 use self::track::{Found, Kind, Track};
 use super::summary::{Spread, Worst};
 use handcast_codec::{clip_rate, poses_keep};
+use handcast_fba::FrameRate;
 use handcast_formats::motion::Motion;
 use handcast_hand::{Finger, HandPose, Joint, JointAngle, Morphology, PoseClip, Side, Skeleton};
 
@@ -270,7 +271,9 @@ fn paired(
         lost_in_other: [0, 0],
         rates_differ: match (extents[0].rate, extents[1].rate) {
             (Some(one), Some(other)) => {
-                !same_rate && (one - other).abs() > SAME_RATE && !at_same_instants([a, b], extents)
+                let carried = carries(one, other) || carries(other, one);
+                let near = same_rate || carried || (one - other).abs() <= SAME_RATE;
+                !near && !at_same_instants([a, b], extents)
             }
             _ => false,
         },
@@ -300,6 +303,12 @@ fn paired(
         }
     }
     out
+}
+
+/// Whether a stream of `rate` frames a second is what a motion is sent as that has another one, which none can have.
+fn carries(rate: f64, own: f64) -> bool {
+    FrameRate::carrying(own)
+        .is_some_and(|(found, ticks)| ticks > 1 && (found.per_second() / rate - 1.0).abs() < 1e-6)
 }
 
 /// The times from which two motions are counted that begin at `starts`.

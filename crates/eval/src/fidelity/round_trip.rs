@@ -160,7 +160,8 @@ pub fn round_trip(
     max_gap: f64,
 ) -> Result<RoundTrip, FidelityError> {
     let rate = clip_rate(clip);
-    let rate = FrameRate::nearest(rate).ok_or(PosesToStreamError::Rate { rate })?.per_second();
+    let (rate, _) = FrameRate::carrying(rate).ok_or(PosesToStreamError::Rate { rate })?;
+    let rate = rate.per_second();
     let sampling = sampling(clip, rate);
     let clip = on_ticks(clip, rate, if plan.live { 0.0 } else { max_gap });
     let placed = profile == Profile::Hand;

@@ -34,6 +34,15 @@ pub struct FrameRate {
     pub offset: bool,
 }
 
+/// How far a codable rate may be from the one that it stands for, as a share, and up to where it counts as the same.
+const NEAR: f64 = 1e-3;
+const EXACT: f64 = 1e-5;
+/// How much a frame may slip against ticks that are a multiple of its rate, ticks.
+const SLIP: f64 = 4e-3;
+/// Slowest rate that is carried, and the multiple up to which the same rate is looked for, frames per second.
+const SLOWEST: f64 = 1.0 / 128.0;
+const USUAL: f64 = 32.0;
+
 impl FrameRate {
     /// What a decoder assumes when a stream never sends a rate.
     pub const ASSUMED: Self = Self { whole: 30, sixteenths: 0, offset: false };
@@ -53,7 +62,27 @@ impl FrameRate {
                 best = Some((error, candidate));
             }
         }
-        best.filter(|(error, _)| *error <= rate * 1e-3).map(|(_, candidate)| candidate)
+        best.filter(|(error, _)| *error <= rate * NEAR).map(|(_, candidate)| candidate)
+    }
+
+    /// The codable rate on whose ticks frames at `rate` per second come, and how many of its ticks there are to a frame: of
+    /// one that no codable rate is near to, a multiple.  `None` below 1/128 and above 255 15/16.
+    pub fn carrying(rate: f64) -> Option<(Self, u32)> {
+        let fits = |near: f64| {
+            let at = move |ticks: &u32| {
+                let found = Self::nearest(rate * f64::from(*ticks))?;
+                let off = (found.per_second() / (rate * f64::from(*ticks)) - 1.0).abs();
+                (off <= near && off * f64::from(*ticks) <= SLIP).then_some((found, *ticks))
+            };
+            move |most: f64| {
+                (2..).take_while(move |ticks| f64::from(*ticks) * rate <= most).find_map(|n| at(&n))
+            }
+        };
+        if !(SLOWEST..256.0).contains(&rate) {
+            return None;
+        }
+        let one = Self::nearest(rate).map(|found| (found, 1));
+        one.or_else(|| fits(EXACT)(USUAL)).or_else(|| fits(NEAR)(256.0))
     }
 
     /// Frames per second.
@@ -216,6 +245,30 @@ mod tests {
         assert_eq!(FrameRate::nearest(0.0), None);
         assert_eq!(FrameRate::nearest(1000.0), None);
         assert_eq!(FrameRate::nearest(f64::NAN), None);
+    }
+
+    #[test]
+    fn rates_between_codable_ones_are_carried_by_a_multiple() {
+        let carried = |rate: f64| FrameRate::carrying(rate).map(|(found, ticks)| (found.per_second(), ticks));
+        for (rate, per_second, ticks) in [
+            (30.0, 30.0, 1),
+            (6.25, 6.25, 1),
+            (20.0 / 3.0, 20.0, 3),
+            (100.0 / 11.0, 18.1875, 2),
+            (3.3, 16.5, 5),
+            (0.3, 1.5, 5),
+            (0.07, 1.75, 25),
+        ] {
+            assert_eq!(carried(rate), Some((per_second, ticks)), "{rate}");
+        }
+        for thousandths in (8..20_000).step_by(7) {
+            let rate = f64::from(thousandths) * 1e-3;
+            let (per_second, ticks) = carried(rate).unwrap();
+            assert!((per_second / f64::from(ticks) / rate - 1.0).abs() <= 1e-3, "{rate}");
+        }
+        for rate in [0.0, -1.0, 0.007, 256.0, 1000.0, f64::NAN, f64::INFINITY] {
+            assert_eq!(carried(rate), None, "{rate}");
+        }
     }
 
     #[test]

@@ -71,7 +71,7 @@ pub(super) fn parse(text: &[u8], limits: &Limits) -> Result<Vec<LandmarkClip>, S
     let like =
         LandmarkClip { points_per_frame: 25, made_by: Some("Leap Motion".into()), ..LandmarkClip::default() };
     let (mut hands, mut packing, mut count, mut first) = (Sided::new(like), None, 0usize, None);
-    let mut frames = 0u32;
+    let (mut frames, mut timed) = (0u32, false);
     each_frame(text, &mut |_, frame| {
         let frame = match (frame, &packing) {
             // The names of what the lists behind it hold.
@@ -83,7 +83,10 @@ pub(super) fn parse(text: &[u8], limits: &Limits) -> Result<Vec<LandmarkClip>, S
             (frame, _) => frame,
         };
         let time = match get(&frame, &["timestamp"]).and_then(Value::as_f64) {
-            Some(stamp) => (stamp - *first.get_or_insert(stamp)) * MICROSECOND,
+            Some(stamp) => {
+                timed = true;
+                (stamp - *first.get_or_insert(stamp)) * MICROSECOND
+            }
             None => f64::from(frames) / RATE,
         };
         frames += 1;
@@ -103,6 +106,7 @@ pub(super) fn parse(text: &[u8], limits: &Limits) -> Result<Vec<LandmarkClip>, S
         let points: Vec<_> = clip.frames.iter().map(|frame| frame.points).collect();
         let metres = hand_length(&points).is_some_and(|length| length < SHORTEST);
         clip.metres = Some(if metres { 1.0 } else { 1e-3 });
+        (clip.rate, clip.rate_assumed) = if timed { (None, false) } else { (Some(RATE), true) };
         if !clip.frames.iter().any(|frame| frame.points[Joint::PinkyMetacarpal.index()].is_some()) {
             clip.points_per_frame = 21;
         }

@@ -177,6 +177,7 @@ fn clips(found: Found, bytes: usize, limits: &Limits) -> Result<Vec<LandmarkClip
         ..LandmarkClip::default()
     };
     let mut sided = Sided::new(like);
+    empty_times(&found, rate)?.into_iter().for_each(|time| sided.pass(time));
     for side in [Some(Side::Left), Some(Side::Right), None] {
         let of_side: Vec<&Sample> = samples.iter().filter(|s| s.side == side).collect();
         if of_side.is_empty() {
@@ -195,6 +196,14 @@ fn clips(found: Found, bytes: usize, limits: &Limits) -> Result<Vec<LandmarkClip
     let mut clips = sided.finished()?;
     clips.iter_mut().for_each(|clip| clip.notes.clone_from(&notes));
     Ok(clips)
+}
+
+/// Seconds of the frames without a hand, as far as they can be told.
+fn empty_times(found: &Found, rate: f64) -> Result<Vec<f64>, String> {
+    let at = At { row: 0, rows: 1, hand: 0, hands: 1 };
+    let told = |fields: &Fields| !found.timed() || fields.get(Name::Time).is_some();
+    let empty = found.empty.iter().filter(|(_, fields)| told(fields));
+    empty.map(|(number, fields)| Rows { fields, number: Some(*number), rate, mean: None }.time(at)).collect()
 }
 
 /// The mean that is added to rotations, of a right hand; `None` where they are from the flat hand.
@@ -795,6 +804,17 @@ mod tests {
             json!({ "pred_keypoints_3d": list(&twin(Side::Right, WRIST, &motion(i))), "is_right": 0 })
         }).collect::<Vec<_>>());
         same(&one(&raw), 6, &joints.map(mirror));
+        // Frames without one are instants at which it is away.
+        let hand = |i: usize| {
+            json!([{ "wilor_preds": { "pred_keypoints_3d": list(&twin(Side::Right, WRIST, &motion(i))) },
+                     "is_right": 1 }])
+        };
+        let gaps = one(&json!([[], hand(0), [], null, hand(3), { "hands": [] }, hand(5), []]));
+        let times: Vec<f64> = gaps.frames.iter().map(|frame| (frame.time * 30.0).round()).collect();
+        assert_eq!(times, [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]);
+        let seen: Vec<bool> =
+            gaps.frames.iter().map(|frame| frame.points.iter().any(Option::is_some)).collect();
+        assert_eq!(seen, [true, false, false, true, false, true]);
         // Two hands in each frame.
         let two = json!(
             (0..3)

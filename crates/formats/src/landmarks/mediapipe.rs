@@ -19,9 +19,9 @@ use serde::de::{DeserializeSeed, Error, IntoDeserializer, MapAccess, SeqAccess, 
 use serde::{Deserialize, Deserializer};
 
 use super::{
-    Axes, LandmarkClip, LandmarkFrame, PicturePoints, PictureUnit, Point, check_size, check_time, place,
+    Axes, LandmarkClip, LandmarkFrame, PicturePoints, PictureUnit, Point, check_time, place, read_document,
 };
-use crate::motion::{Content, ContentError, Format};
+use crate::motion::Format;
 use crate::poses::json_message;
 use handcast_hand::Side;
 use handcast_limits::Limits;
@@ -34,11 +34,7 @@ pub(crate) static FORMAT: Format = Format {
     ending: ".json",
     hands: 2,
     sniff,
-    read: |bytes, limits| {
-        let clips = check_size(bytes).and_then(|()| parse(bytes, limits));
-        let clips = clips.map_err(|what| ContentError::Foreign { format: FORMAT.id, what })?;
-        Ok(Content::Joints(clips))
-    },
+    read: |bytes, limits| read_document(&FORMAT, parse, bytes, limits),
     write: None,
 };
 
@@ -173,6 +169,13 @@ impl<'de> Visitor<'de> for TreeVisitor {
             }
         }
         match (numbers.as_slice(), trees.is_empty()) {
+            // A point whose coordinates are missing.
+            _ if (2..=4).contains(&(numbers.len() + trees.len()))
+                && !trees.is_empty()
+                && trees.iter().all(|tree| matches!(tree, Tree::Nothing)) =>
+            {
+                Ok(Tree::Nothing)
+            }
             ([], _) => Ok(Tree::List(trees)),
             ([x, y], true) => Ok(Tree::Point([*x, *y, 0.0], false)),
             // A fourth number is a confidence.
@@ -185,21 +188,34 @@ impl<'de> Visitor<'de> for TreeVisitor {
     }
 
     fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<Tree, A::Error> {
-        #[derive(Deserialize)]
+        #[derive(Default, Deserialize)]
+        #[serde(default)]
         struct Named {
-            x: Option<f64>,
-            y: Option<f64>,
-            z: Option<f64>,
+            #[serde(deserialize_with = "said")]
+            x: Option<Option<f64>>,
+            #[serde(deserialize_with = "said")]
+            y: Option<Option<f64>>,
+            #[serde(deserialize_with = "said")]
+            z: Option<Option<f64>>,
             #[serde(alias = "landmarks", alias = "keypoints")]
             landmark: Option<Tree>,
         }
         let named = Named::deserialize(MapAccessDeserializer::new(map))?;
         match (named.x, named.y, named.landmark) {
             (_, _, Some(list)) => Ok(list),
-            (Some(x), Some(y), None) => Ok(Tree::Point([x, y, named.z.unwrap_or(0.0)], named.z.is_some())),
+            (Some(x), Some(y), None) => Ok(match (x, y, named.z) {
+                (Some(x), Some(y), None) => Tree::Point([x, y, 0.0], false),
+                (Some(x), Some(y), Some(Some(z))) => Tree::Point([x, y, z], true),
+                _ => Tree::Nothing,
+            }),
             _ => Err(A::Error::custom("a point without x and y")),
         }
     }
+}
+
+/// What stands under a name that is there, if only `null`.
+fn said<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<Option<f64>>, D::Error> {
+    Option::deserialize(deserializer).map(Some)
 }
 
 impl Tree {

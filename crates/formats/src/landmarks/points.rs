@@ -57,6 +57,8 @@ pub const MAX_LINE_BYTES: usize = 64 * 1024;
 const METRE: &str = "m";
 /// Tips as MediaPipe has them, and at the ends of the fingers.
 const TIPS: [&str; 2] = ["inside", "end"];
+/// Frames a second of lines that tell neither times nor a rate.
+const RATE: f64 = 30.0;
 /// Digits after the point of a coordinate that are written.
 const DIGITS: i32 = 7;
 
@@ -90,13 +92,14 @@ struct Header {
 
 #[derive(Deserialize)]
 struct Frame {
-    t: f64,
+    t: Option<f64>,
     points: Option<Vec<Point>>,
     image: Option<Vec<Option<[f64; 2]>>>,
 }
 
 pub(super) fn parse(reader: impl BufRead, limits: &Limits) -> Result<LandmarkClip, (usize, String)> {
     let mut lines = LineReader::new(reader, MAX_LINE_BYTES);
+    let mut untimed = false;
     let mut next = |clip: &mut Option<LandmarkClip>| -> Result<bool, (usize, String)> {
         let text = match lines.next_line() {
             Ok(Some(text)) => text,
@@ -105,7 +108,7 @@ pub(super) fn parse(reader: impl BufRead, limits: &Limits) -> Result<LandmarkCli
         };
         let result = match clip {
             None => parse_header(text).map(|header| *clip = Some(header)),
-            Some(clip) => parse_frame(text, clip).map(|frame| clip.frames.push(frame)),
+            Some(clip) => parse_frame(text, clip, &mut untimed).map(|frame| clip.frames.push(frame)),
         };
         let count = clip.as_ref().map_or(0, |clip| clip.frames.len());
         let checked = || limits.check_frames(count, lines.bytes()).map_err(|excess| excess.to_string());
@@ -170,9 +173,10 @@ fn parse_header(text: &str) -> Result<LandmarkClip, String> {
     })
 }
 
-fn parse_frame(text: &str, clip: &LandmarkClip) -> Result<LandmarkFrame, String> {
+fn parse_frame(text: &str, clip: &mut LandmarkClip, untimed: &mut bool) -> Result<LandmarkFrame, String> {
     let frame: Frame = serde_json::from_str(text).map_err(|e| json_message(&e))?;
-    check_time(frame.t, clip.frames.last())?;
+    let t = time(frame.t, clip, untimed)?;
+    check_time(t, clip.frames.last())?;
     let points = match frame.points {
         None => [None; 25],
         Some(points) => place(&points, clip.points_per_frame)?,
@@ -185,7 +189,22 @@ fn parse_frame(text: &str, clip: &LandmarkClip) -> Result<LandmarkFrame, String>
             Some(placed.map(|p| p.map(|p| p.xy())))
         }
     };
-    Ok(LandmarkFrame { image, ..LandmarkFrame::of(frame.t, points) })
+    Ok(LandmarkFrame { image, ..LandmarkFrame::of(t, points) })
+}
+
+/// The time of the next frame, from its number where no frame tells one.
+fn time(told: Option<f64>, clip: &mut LandmarkClip, untimed: &mut bool) -> Result<f64, String> {
+    let number = clip.frames.len();
+    if number == 0 && told.is_none() {
+        *untimed = true;
+        clip.rate_assumed = clip.rate.is_none();
+        clip.rate.get_or_insert(RATE);
+    }
+    match (told, *untimed) {
+        (Some(_), true) => Err("t is told, which the frames before do not".into()),
+        (None, false) => Err("missing field `t`, which the frames before tell".into()),
+        (told, _) => Ok(told.unwrap_or_else(|| number as f64 / clip.rate.unwrap_or(RATE))),
+    }
 }
 
 /// Writes 21 landmarks of the one hand that a clip has; hands of unknown sizes get those of `fallback`.
@@ -305,6 +324,20 @@ mod tests {
         }
         let (_, what) = lines(&named.replace("unity", "up")).unwrap_err();
         assert!(what.contains("axes are \"up\", allowed webxr, mediapipe, unity, z-up"), "{what}");
+    }
+
+    #[test]
+    fn lines_without_times_go_by_the_rate() {
+        let bare = frame(0.0, 21).replace("\"t\":0,", "");
+        let clip = lines(&format!("{HEADER}\n{bare}{{\"points\":null}}\n{bare}")).unwrap();
+        assert_eq!((clip.frames[2].time, clip.rate_assumed), (2.0 / 30.0, false));
+        let clip = lines(&format!("{}\n{bare}{bare}", HEADER.replace("\"fps\":30,", ""))).unwrap();
+        assert!(clip.rate_assumed && clip.rate_notice().unwrap().contains("30 frames a second"));
+        assert_eq!(clip.at_rate(60.0).frames[1].time, 1.0 / 60.0);
+        for (first, second) in [(&bare, &frame(1.0, 21)), (&frame(1.0, 21), &bare)] {
+            let (line, what) = lines(&format!("{HEADER}\n{first}{second}")).unwrap_err();
+            assert!(line == 3 && what.contains("which the frames before"), "{what}");
+        }
     }
 
     #[test]

@@ -13,7 +13,7 @@
 
 use std::io;
 
-use nalgebra::{Point3, Vector3};
+use nalgebra::{Point2, Point3, Vector3};
 
 use super::axes::{Axes, Camera};
 use super::{LandmarkClip, LandmarkFrame, PicturePoints, PictureUnit, Point, place};
@@ -363,6 +363,7 @@ pub(super) fn parse(file: &[u8], limits: &Limits) -> Result<Vec<LandmarkClip>, S
         if found.is_empty() {
             continue;
         }
+        check_pixels(&found, header.size)?;
         let frames = || found.iter().flat_map(|clip| &clip.frames);
         if frames().all(|frame| frame.confidence.is_none_or(|confidence| confidence == 1.0)) {
             // Detectors that know no confidence say 1 of all that is there.
@@ -371,6 +372,33 @@ pub(super) fn parse(file: &[u8], limits: &Limits) -> Result<Vec<LandmarkClip>, S
         return Ok(found);
     }
     Err("no frame has a hand".into())
+}
+
+/// Hands narrower than this are none of a picture, pixels.
+const NARROWEST: f64 = 8.0;
+
+/// That hands are as wide as what is seen in a picture of this size; those that are where their camera is may be far away.
+fn check_pixels(clips: &[LandmarkClip], size: [usize; 2]) -> Result<(), String> {
+    let seen = clips.iter().filter(|clip| clip.centred || clip.frames.iter().all(|f| f.points == [None; 25]));
+    let images = seen.flat_map(|clip| clip.frames.iter().filter_map(|frame| frame.image.as_ref()));
+    let width = |image: &[Option<Point2<f64>>; 25]| {
+        let extent = |axis: usize| {
+            let values = image.iter().flatten().map(|p| p[axis]);
+            values.clone().fold(f64::NEG_INFINITY, f64::max) - values.fold(f64::INFINITY, f64::min)
+        };
+        extent(0).max(extent(1))
+    };
+    let widest = images.map(width).reduce(f64::max);
+    match widest
+        .filter(|widest| (f64::MIN_POSITIVE..NARROWEST).contains(widest) && size[0] as f64 > 4.0 * NARROWEST)
+    {
+        Some(widest) => Err(format!(
+            "hands are {widest:.1} pixels wide at most in a picture of {} × {}, allowed are {NARROWEST} and more: places that \
+             were normalised, as by pose.normalize() of pose-format, are none in a picture; take the file as it was before that",
+            size[0], size[1]
+        )),
+        None => Ok(()),
+    }
 }
 
 /// What a person's hand does; `None` if it is never there.
@@ -683,6 +711,23 @@ mod tests {
                 prop_assert_eq!(b.confidence.is_some(), doubtful);
             }
         }
+    }
+
+    #[test]
+    fn normalised_places_are_refused() {
+        let mut bytes = file(PoseVersion::V0_2);
+        let mut read_on = Bytes { rest: &bytes, whole: bytes.len() };
+        let head = header(&mut read_on, &Limits::default()).unwrap();
+        let numbers = body(read_on, &head, &Limits::default()).unwrap().places.len() / 4;
+        // Coordinates and confidences end the file.
+        let start = bytes.len() - numbers * 4 - numbers / 3 * 4;
+        for float in bytes[start..start + numbers * 4].chunks_exact_mut(4) {
+            let value = f32::from_le_bytes([float[0], float[1], float[2], float[3]]);
+            float.copy_from_slice(&(value / 200.0).to_le_bytes());
+        }
+        let said = read(&bytes).unwrap_err();
+        assert!(said.contains("pixels wide at most in a picture of 1000 × 1000"), "{said}");
+        assert!(said.contains("pose.normalize()"), "{said}");
     }
 
     #[test]

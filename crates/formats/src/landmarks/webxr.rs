@@ -31,7 +31,7 @@ use crate::motion::{
     skeleton,
 };
 use crate::whole::Counted;
-use handcast_hand::landmarks::{JointPoints, measure};
+use handcast_hand::landmarks::{JointPoints, measure_posed};
 use handcast_hand::turns::{PosesFromTurns, ours_from_webxr};
 use handcast_hand::{
     ClipHand, Finger, HandPose, Joint, Morphology, PoseClip, PoseHeader, Side, Skeleton, TimedPose,
@@ -57,6 +57,8 @@ pub(crate) static FORMAT: Format = Format {
 pub const NAME: &str = "webxr-hands";
 /// Its unit.
 const METRE: &str = "m";
+/// Frames a second of documents that tell neither times nor a rate.
+const RATE: f64 = 30.0;
 /// Digits after the point of all numbers but times.
 const DIGITS: i32 = 7;
 /// How far the orientation of a joint may be from that of our hand in the same pose, radians: some digits more than
@@ -103,8 +105,9 @@ struct Reading<'a> {
     facts: Facts,
     /// Frames so far.
     frames: usize,
-    /// Their times, seconds.
+    /// Their times, seconds, or their numbers where they are `untimed`.
     instants: Vec<f64>,
+    untimed: bool,
     /// The positions of each hand's joints; hands in the order in which they appear.
     clips: Vec<LandmarkClip>,
     /// The poses that the orientations tell; `None` where they are not asked for, some are missing or are not those of our hand.
@@ -139,14 +142,16 @@ where
         facts: Facts::default(),
         frames: 0,
         instants: Vec::new(),
+        untimed: false,
         clips: Vec::new(),
         poses: turns.then(Vec::new),
         turns: [None, None],
         error: None,
     };
     let read = input.deserialize_map(Top(&mut reading));
-    let Reading { facts: Facts { format, unit, fps, frames }, mut clips, instants, poses, error, .. } =
-        reading;
+    let Reading { facts: Facts { format, unit, fps, frames }, error, untimed, .. } = &mut reading;
+    let (format, unit, fps, frames, untimed) = (format.take(), unit.take(), *fps, *frames, *untimed);
+    let error = error.take();
     let told = |wrong: serde_json::Error| {
         // Where reading itself failed no place in the text is wrong.
         if wrong.is_io() { io::Error::from(wrong).to_string() } else { wrong.to_string() }
@@ -161,7 +166,19 @@ where
     if !frames {
         return Err("frames are missing".into());
     }
-    clips.iter_mut().for_each(|clip| clip.rate = fps);
+    let Reading { mut clips, mut instants, mut poses, .. } = reading;
+    if let Some(rate) = fps.filter(|rate| !(*rate > 0.0 && *rate <= 10_000.0)) {
+        return Err(format!("fps is {rate}, allowed above 0 to 10000"));
+    }
+    let rate = fps.or(untimed.then_some(RATE));
+    if let Some(rate) = rate.filter(|_| untimed) {
+        let times = clips.iter_mut().flat_map(|clip| &mut clip.frames).map(|frame| &mut frame.time);
+        let found = poses.iter_mut().flatten().map(|pose| &mut pose.time);
+        times.chain(found).chain(&mut instants).for_each(|time| *time /= rate);
+    }
+    for clip in &mut clips {
+        (clip.rate, clip.rate_assumed) = (rate, untimed && fps.is_none());
+    }
     tell_absences(&mut clips, instants);
     if clips.is_empty() { Err("no frame has a hand".into()) } else { Ok((clips, poses)) }
 }
@@ -255,7 +272,7 @@ impl<'de, T: Deserialize<'de>, F: FnMut(T) -> Result<(), String>> Visitor<'de> f
 
 #[derive(Deserialize)]
 struct Frame {
-    time: f64,
+    time: Option<f64>,
     hands: Hands,
 }
 
@@ -322,17 +339,27 @@ impl Reading<'_> {
         self.frames += 1;
         let checked = self.limits.check_frames(self.frames, self.bytes.get());
         checked.map_err(|excess| excess.to_string())?;
-        self.instants.push(frame.time);
+        self.untimed |= i == 0 && frame.time.is_none();
+        let time = match (frame.time, self.untimed) {
+            (Some(_), true) => {
+                return Err(format!("frame {i}: time is told, which the frames before do not"));
+            }
+            (None, false) => {
+                return Err(format!("frame {i}: missing field `time`, which the frames before tell"));
+            }
+            (told, _) => told.unwrap_or(i as f64),
+        };
+        self.instants.push(time);
         for hand in &frame.hands.0 {
             let side = hand.handedness;
             let clip = self.clip(side);
             let taken = hand.points().and_then(|points| {
-                check_time(frame.time, clip.frames.last())?;
-                clip.frames.push(LandmarkFrame::of(frame.time, points));
+                check_time(time, clip.frames.last())?;
+                clip.frames.push(LandmarkFrame::of(time, points));
                 Ok(())
             });
             taken.map_err(|what| format!("frame {i}, {} hand: {what}", side.name()))?;
-            self.turn(frame.time, hand);
+            self.turn(time, hand);
         }
         Ok(())
     }
@@ -422,15 +449,22 @@ fn read(bytes: &[u8], limits: &Limits) -> Result<Content, ContentError> {
     let absent: Vec<TimedPose> = clips.iter().flat_map(|clip| lost(clip, &frames)).collect();
     frames.extend(absent);
     frames.sort_by(|a, b| a.time.total_cmp(&b.time));
-    // The bones are as long as the joints are apart.
     let info = |points: &LandmarkClip| {
-        let frames: Vec<JointPoints> = points.frames.iter().map(|frame| frame.points).collect();
         let side = points.side?;
-        Some(ClipHand { side, morphology: measure(&frames, side).ok() })
+        let posed = points.frames.iter().filter_map(|frame| {
+            let own = |pose: &&TimedPose| pose.pose.side == side && pose.valid;
+            let at = frames.partition_point(|pose| pose.time < frame.time);
+            let pose = frames[at..].iter().take_while(|pose| pose.time == frame.time).find(own)?;
+            Some((&pose.pose, &frame.points))
+        });
+        Some(ClipHand { side, morphology: measure_posed(posed, side).ok() })
     };
     let hands = clips.iter().filter_map(info).collect();
     let header = PoseHeader { rate: clips[0].rate, hands, ..PoseHeader::default() };
-    Ok(Motion::of(&FORMAT, PoseClip { header, frames }).into())
+    let rate_assumed = clips[0].rate_assumed;
+    let mut motion = Motion { rate_assumed, ..Motion::of(&FORMAT, PoseClip { header, frames }) };
+    motion.notes.extend(motion.rate_notice());
+    Ok(motion.into())
 }
 
 /// Writes the document with the valid poses of a clip; hands of unknown sizes get those of `fallback`.
@@ -497,6 +531,7 @@ mod tests {
     use super::super::MAX_DOCUMENT_BYTES;
     use super::*;
     use crate::motion::tests::{two_hands, worst};
+    use handcast_hand::JointAngle;
     use nalgebra::Vector3;
 
     fn read(text: &[u8]) -> Result<Motion, ContentError> {
@@ -535,6 +570,52 @@ mod tests {
         assert!(clips[0].frames[1].points.iter().all(Option::is_none));
         assert_eq!(clips[1].frames[0].points[Joint::ThumbTip.index()].map(|p| p.z), Some(3.0));
         assert_eq!(clips[1].frames[0].points.iter().flatten().count(), 1);
+    }
+
+    #[test]
+    fn frames_without_times_go_by_the_rate() {
+        let both = two_hands();
+        let text = String::from_utf8(FORMAT.write(&both, &WriteOptions::default()).unwrap().bytes).unwrap();
+        let mut untimed: Value = serde_json::from_str(&text).unwrap();
+        for frame in untimed["frames"].as_array_mut().unwrap() {
+            frame.as_object_mut().unwrap().remove("time");
+        }
+        untimed["fps"] = json!(40);
+        let timed = read(untimed.to_string().as_bytes()).unwrap();
+        assert_eq!((timed.clip.header.rate, timed.rate_assumed), (Some(40.0), false));
+        assert_eq!(timed.clip.frames.last().unwrap().time, 39.0 / 40.0);
+        untimed.as_object_mut().unwrap().remove("fps");
+        let assumed = read(untimed.to_string().as_bytes()).unwrap();
+        assert!(assumed.rate_assumed && assumed.notes[0].contains("30 frames a second are taken"));
+        let told = assumed.at_rate(72.0);
+        assert!(told.notes.is_empty() && !told.rate_assumed);
+        assert!((told.clip.frames.last().unwrap().time - 39.0 / 72.0).abs() < 1e-12);
+        let clip = clips(&untimed.to_string()).unwrap().remove(0);
+        assert!(clip.rate_assumed && clip.rate == Some(30.0));
+        let mixed = [frame(0.0, "left", "wrist"), frame(1.0, "left", "wrist").replace("\"time\":1,", "")];
+        assert!(clips(&document(&mixed.join(","))).unwrap_err().contains("frame 1: missing field `time`"));
+    }
+
+    /// Also of a hand that never shows its palm flat.
+    #[test]
+    fn sizes_come_back_where_the_palm_is_cupped() {
+        let mut both = two_hands();
+        for frame in &mut both.frames {
+            for (angle, bend) in [(JointAngle::Ring0Flexion, 0.2), (JointAngle::Pinky0Flexion, 0.35)] {
+                frame.pose.set(angle, bend);
+            }
+        }
+        let written = FORMAT.write(&both, &WriteOptions::default()).unwrap();
+        let back = read(&written.bytes).unwrap().clip;
+        for (hand, ours) in back.header.hands.iter().zip(&both.header.hands) {
+            let [a, b] = [hand, ours].map(|hand| Skeleton::new(hand.morphology.as_ref().unwrap(), hand.side));
+            for (there, given) in back.of(hand.side).zip(both.of(hand.side)) {
+                let (there, given) = (a.frames(&there.pose), b.frames(&given.pose));
+                let off = |joint| (there.position(joint) - given.position(joint)).norm();
+                let most = Joint::ALL.into_iter().map(off).fold(0.0, f64::max);
+                assert!(most < 2e-5, "{most}");
+            }
+        }
     }
 
     #[test]

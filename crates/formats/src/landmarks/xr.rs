@@ -113,6 +113,7 @@ pub(super) fn parse(text: &[u8], limits: &Limits) -> Result<Vec<LandmarkClip>, S
     let rate = facts.rate.or(stamps.is_empty().then_some(RATE));
     let like = LandmarkClip {
         rate,
+        rate_assumed: facts.rate.is_none() && rate.is_some(),
         metres: Some(facts.metres.unwrap_or(1.0)),
         points_per_frame: 25,
         ..LandmarkClip::default()
@@ -256,6 +257,19 @@ mod tests {
                 assert!(off[0] < 2e-3 && off[1] < 1e-4 && off[2] < 1e-5, "{off:?}");
             }
         }
+    }
+
+    #[test]
+    fn a_rate_that_is_not_told_is_assumed() {
+        let frame = format!("{{\"handedness\":\"left\",\"joints\":[{}]}}", vec!["[0.1,0,0]"; 25].join(","));
+        let read = |text: &str| super::parse(text.as_bytes(), &Limits::default()).unwrap().remove(0);
+        let list = read(&format!("[{frame},{frame}]"));
+        assert_eq!((list.rate, list.rate_assumed), (Some(30.0), true));
+        assert!((list.at_rate(72.0).frames[1].time - 1.0 / 72.0).abs() < 1e-12);
+        let told = read(&format!("{{\"fps\":90,\"frames\":[{frame},{frame}]}}"));
+        assert_eq!((told.rate, told.rate_assumed), (Some(90.0), false));
+        let timed = frame.replace("{\"hand", "{\"t\":1,\"hand");
+        assert!(!read(&format!("[{timed}]")).rate_assumed);
     }
 
     #[test]

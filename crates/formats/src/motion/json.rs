@@ -15,7 +15,7 @@ use serde::de::{IgnoredAny, SeqAccess, Visitor};
 use serde::{Deserialize, Deserializer};
 use serde_json::{Map, Value};
 
-use super::format::{head, says};
+use super::format::{head, names_any, says};
 use super::{ContentError, Format, Keeps, Lost, Motion, WriteError, WriteOptions, Writer};
 use crate::batches::write_each;
 use crate::poses::{
@@ -31,13 +31,21 @@ pub(crate) static FORMAT: Format = Format {
     kind: "poses",
     ending: ".json",
     hands: 2,
-    sniff: |bytes| head(bytes).starts_with(b"{") && says(head(bytes), poses::NAME) && !is_lines(bytes),
+    sniff: |bytes| {
+        let named = says(head(bytes), poses::NAME);
+        head(bytes).starts_with(b"{") && (named && !is_lines(bytes) || !named && has_our_frames(bytes))
+    },
     read: |bytes, limits| Ok(Motion::of(&FORMAT, read_within(bytes, limits)?).into()),
     write: Some(Writer {
         keeps: Keeps::all(Lost::Told),
         write: |clip, _: &WriteOptions, out| write_json(clip, out).map(|()| Vec::new()),
     }),
 };
+
+/// Whether this is a document whose frames come before its name.
+fn has_our_frames(bytes: &[u8]) -> bool {
+    says(head(bytes), "\"frames\"") && ["wrist", "translation"].iter().all(|name| names_any(bytes, &[name]))
+}
 
 /// The frames of a document, with all that is in them or none.
 #[derive(Deserialize)]
@@ -151,9 +159,13 @@ mod tests {
         assert_eq!(back.header, both.header);
         assert!(worst(&both, &back) < 1e-7);
         // However it is laid out.
-        let document: Value = serde_json::from_slice(&text).unwrap();
+        let mut document: Value = serde_json::from_slice(&text).unwrap();
         let pretty = serde_json::to_string_pretty(&document).unwrap();
         assert_eq!(read_json(pretty.as_bytes()).unwrap(), back);
+        let frames = document.as_object_mut().unwrap().remove("frames").unwrap();
+        let late = format!("{{\"frames\":{frames},{}", &document.to_string()[1..]);
+        assert_eq!(Format::sniffed(late.as_bytes()), Some(&FORMAT));
+        assert_eq!(read_json(late.as_bytes()).unwrap(), back);
     }
 
     #[test]
@@ -162,11 +174,12 @@ mod tests {
             let header = r#"{"format":"handcast-poses","version":1,"hands":[{"side":"right"}]"#;
             read_json(format!("{header},\n\"frames\":[\n{frames}]}}").as_bytes()).unwrap_err().to_string()
         };
-        let frame = r#"{"t":0,"hand":"right"}"#;
+        let frame = r#"{"t":0,"hand":"right","wrist":{"translation":[0,0,0],"rotation":[0,0,0,1]}}"#;
         for (text, words) in [
             (document("{]"), "line 3"),
             (document(r#"{"hand":"right"}"#), "missing field `t`"),
-            (document(r#"{"t":0,"hand":"left"}"#), "frame 0: the left hand is not named"),
+            (document(r#"{"t":0,"hand":"right"}"#), "missing field `wrist`"),
+            (document(&frame.replace("right", "left")), "frame 0: the left hand is not named"),
             (document(&format!("{frame},\n{frame}")), "frame 1: t is 0 s, not after 0 s"),
             (read_json(b"{\"version\":1}").unwrap_err().to_string(), "poses have a list \"frames\""),
             (read_json(b"{\"frames\":[]}").unwrap_err().to_string(), "format is \"\""),

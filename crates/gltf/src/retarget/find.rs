@@ -268,6 +268,6 @@ fn untold_side(document: &RigDocument, group: &Found, map: Option<&JointMap>) ->
     let points = std::array::from_fn(|i| position(Joint::ALL[i]).map(Into::into));
     match tell_side(&[points]) {
         Ok(trial) if trial.ratio() >= TELLING => Ok(trial.side()),
-        _ => Err(RigError::NoHand { what: "left or right cannot be told from the joints".into() }),
+        _ => Err(RigError::NoSide),
     }
 }

@@ -4,7 +4,8 @@ use nalgebra::{Point3, UnitQuaternion, Vector3};
 
 use super::{JointPoints, LandmarkError, PALM, PoseSolver, SolverOptions, align, mirrored_points};
 use crate::morphology::metacarpal_of;
-use crate::{Finger, Joint, JointAngle, Morphology, Side, Skeleton};
+use crate::pose::mirror_vector;
+use crate::{Finger, HandPose, Joint, JointAngle, Morphology, Side, Skeleton};
 
 /// Most frames that [`measure`] and [`tell_side`] look at, spread evenly over a recording.
 const SAMPLED_FRAMES: usize = 400;
@@ -55,6 +56,55 @@ pub fn measure(frames: &[JointPoints], side: Side) -> Result<Morphology, Landmar
     }
     let middle = morphology.finger(Finger::Middle);
     morphology.hand_length = middle.base[1] + middle.length();
+    morphology.validate()?;
+    Ok(morphology)
+}
+
+/// The sizes of a hand from joints whose pose is known, metres: medians over the frames of where each joint lies in the hand
+/// when nothing is bent. Frames that lack a joint do not count.
+///
+/// # Errors
+/// [`LandmarkError::NoPalm`] without a whole frame, [`LandmarkError::Morphology`].
+pub fn measure_posed<'a>(
+    frames: impl Iterator<Item = (&'a HandPose, &'a JointPoints)>,
+    side: Side,
+) -> Result<Morphology, LandmarkError> {
+    let frames: Vec<_> = frames.filter(|(_, points)| points.iter().all(Option::is_some)).collect();
+    // Which way a joint turns depends on no size.
+    let skeleton = Skeleton::new(&Morphology::default(), side);
+    let rest = skeleton.local_frames(&[0.0; JointAngle::COUNT]);
+    let step = frames.len().div_ceil(SAMPLED_FRAMES).max(1);
+    let unbent = frames.iter().step_by(step).filter_map(|(pose, points)| {
+        let turned = skeleton.frames(pose);
+        let mut at = [Point3::origin(); Joint::COUNT];
+        for joint in Joint::ALL {
+            let Some(above) = joint.parent() else { continue };
+            let bone = points[joint.index()]? - points[above.index()]?;
+            let bone = turned.get(above).rotation.inverse_transform_vector(&bone);
+            at[joint.index()] = at[above.index()] + rest.get(above).rotation * bone;
+        }
+        Some(at.map(|p| if side == Side::Left { Point3::from(mirror_vector(p.coords)) } else { p }))
+    });
+    let unbent: Vec<[Point3<f64>; Joint::COUNT]> = unbent.collect();
+    let place = |joint: Joint| -> Result<[f64; 3], LandmarkError> {
+        let axis = |k: usize| median(unbent.iter().map(|p| p[joint.index()][k])).ok_or(LandmarkError::NoPalm);
+        Ok([axis(0)?, axis(1)?, axis(2)?])
+    };
+    let bone =
+        |a: usize| median(unbent.iter().map(|p| (p[a + 1] - p[a]).norm())).ok_or(LandmarkError::NoPalm);
+    let length = place(Joint::MiddleProximal)?[1]
+        + (0..3).map(|k| bone(Joint::MiddleProximal.index() + k)).sum::<Result<f64, _>>()?;
+    let mut morphology = Morphology::average(length);
+    for finger in Finger::ALL {
+        let base = Joint::base(finger);
+        let f = &mut morphology.fingers[finger as usize];
+        f.base = place(base)?;
+        f.metacarpal = place(Joint::of(finger)[0])?;
+        for k in 0..3 {
+            f.bones[k] = bone(base.index() + k)?;
+        }
+    }
+    morphology.hand_length = length;
     morphology.validate()?;
     Ok(morphology)
 }

@@ -158,6 +158,10 @@ pub(super) struct Found {
     pub(super) flat: Option<bool>,
     /// Each hand with the number of its frame, where it stands in a list.
     pub(super) rows: Vec<(Option<usize>, Fields)>,
+    /// Frames without a hand: the number of each, and what it says of its time.
+    pub(super) empty: Vec<(usize, Fields)>,
+    /// What the latest object without a hand says.
+    bare: Option<Fields>,
 }
 
 /// Where in a file something stands.
@@ -244,7 +248,15 @@ impl Found {
 
     fn frames(&mut self, items: impl Iterator<Item = Item>, at: Place) -> Result<(), String> {
         let mut items = items.enumerate();
-        items.try_for_each(|(k, item)| self.add(item, Place { number: Some(k), ..at }, false))
+        items.try_for_each(|(k, item)| {
+            let before = self.rows.len();
+            self.bare = None;
+            self.add(item, Place { number: Some(k), ..at }, false)?;
+            if self.rows.len() == before {
+                self.empty.push((k, self.bare.take().unwrap_or_default()));
+            }
+            Ok(())
+        })
     }
 
     fn object(&mut self, object: Object, at: Place) -> Result<(), String> {
@@ -269,6 +281,8 @@ impl Found {
         }
         if fields.says_a_hand() {
             self.rows.push((at.number, fields));
+        } else {
+            self.bare = Some(fields);
         }
         for (name, item) in below {
             let side = match name {
