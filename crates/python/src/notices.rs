@@ -21,6 +21,7 @@ pub fn warn(py: Python<'_>, notices: &[String]) -> PyResult<()> {
 pub fn of_clip(clip: &PoseClip, max_gap: f64) -> Vec<String> {
     let mut notices = handcast::codec::notices::of_poses(clip, Profile::Hand, max_gap);
     notices.extend(handcast::codec::notices::of_start(clip));
-    notices.extend(FrameRate::carrying(clip_rate(clip)).and_then(|(rate, _)| of_times(clip, rate.per_second())));
+    notices
+        .extend(FrameRate::carrying(clip_rate(clip)).and_then(|(rate, _)| of_times(clip, rate.per_second())));
     notices
 }
