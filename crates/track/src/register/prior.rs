@@ -57,9 +57,6 @@ tuning! {
         /// Standard deviation of the thumb's abduction from that of the open hand.
         ["rad", "spec/registration.md 5, what the cupped palm and the thumb's prior gain"]
         pub thumb_abduction: f64 = 0.15,
-        /// The same where a finder sees joints: the thumb's say how it is turned.
-        ["rad", "spec/registration.md 5, what a thumb that points out of the palm gains"]
-        pub seen_thumb_abduction: f64 = 0.3,
         /// MCP flexion per PIP flexion of a long finger.
         ["1", "spec/registration.md 5, Prior"]
         pub flexion_ratio: f64 = 0.8,
@@ -189,9 +186,8 @@ impl Prior<'_> {
         mut add: impl FnMut(&[(usize, f64)], f64, Loss),
     ) {
         self.global(tuning, state, &mut add);
-        let seen = evidence.joints().is_some();
-        self.posture(tuning, state, seen, &mut add);
-        if seen {
+        self.posture(tuning, state, &mut add);
+        if evidence.joints().is_some() {
             closed(tuning, state, &mut add);
         }
         if let (Some(now), Some(then)) = (evidence.window().forearm(), self.open.behind) {
@@ -223,14 +219,8 @@ impl Prior<'_> {
         }
     }
 
-    /// Those of the joint angles; `seen` says whether a finder sees joints.
-    fn posture(
-        &self,
-        t: &PriorTuning,
-        state: &ModelState,
-        seen: bool,
-        add: &mut impl FnMut(&[(usize, f64)], f64, Loss),
-    ) {
+    /// Those of the joint angles.
+    fn posture(&self, t: &PriorTuning, state: &ModelState, add: &mut impl FnMut(&[(usize, f64)], f64, Loss)) {
         let (predicted, open) = (self.predicted, &self.open.state);
         let motion = Loss::geman_mcclure(t.angle_motion, t.angle_jump);
         for finger in Finger::ALL {
@@ -244,8 +234,7 @@ impl Prior<'_> {
         }
         let thumb = Finger::Thumb;
         let i = thumb.free_abduction();
-        let out_of_palm = if seen { t.seen_thumb_abduction } else { t.thumb_abduction };
-        add(&[(FREE + i, 1.0)], state.free[i] - open.free[i], Loss::quadratic(out_of_palm));
+        add(&[(FREE + i, 1.0)], state.free[i] - open.free[i], Loss::quadratic(t.thumb_abduction));
         for finger in Finger::LONG {
             let [base, abduction, outer] = [finger.free_base(), finger.free_abduction(), finger.free_outer()];
             let (flexion, opened) = (state.free[base], open.free[abduction]);

@@ -30,12 +30,9 @@ tuning! {
         /// Of the logarithm of a bone's length by comparison with its finger's, where a finder sees the joints.
         ["1", "spread of phalanges, spec/anthropometry.csv"]
         pub bone: f64 = 0.1,
-        /// Of the place of the thumb's base, where a finder sees the joints.
-        ["hand lengths", "what finders call its CMC joint lies 7 % from the model's"]
-        pub thumb_base: f64 = 0.1,
-        /// Of the logarithms of the thumb's length and of its bones' by comparison with it, where a finder sees the joints.
-        ["1", "spec/registration.md 5, what a thumb that points out of the palm gains"]
-        pub thumb_lengths: [f64; 2] = [0.03, 0.05],
+        /// Of the place of the thumb's base, and of its bones, where a finder sees the joints.
+        ["hand lengths, 1", "what finders call its CMC joint lies 7 % from the model's"]
+        pub thumb_joints: f64 = 0.1,
         /// Of the logarithms of a finger's radii and waists.
         ["1", "spec/registration.md 5, Sizes; handcast bench track CLIP --no-methods"]
         pub radius: f64 = 0.16,
@@ -395,11 +392,10 @@ fn changed(fitted: &Morphology, values: &Vector) -> Morphology {
 /// Standard deviation of a size from that of the fit.
 fn deviation(t: &SizesTuning, i: usize, joints: bool) -> f64 {
     match i {
-        0..OF_FINGER if joints && BASE.contains(&i) => t.thumb_base,
-        LENGTH if joints => t.thumb_lengths[0],
+        0..OF_FINGER if joints && BASE.contains(&i) => t.thumb_joints,
         0..OF_FINGER => t.thumb * finger_deviation(t, i),
         OF_FINGER..PALM => finger_deviation(t, i % OF_FINGER),
-        OUTLINE.. if i < OUTLINE + BONES => t.thumb_lengths[1],
+        OUTLINE.. if i < OUTLINE + BONES => t.thumb_joints,
         OUTLINE.. => t.bone,
         _ => palm_deviation(t, i - PALM),
     }
