@@ -493,6 +493,24 @@ pub(crate) fn solved(format: &'static Format, hands: &[LandmarkClip]) -> Result<
 
 type Point = Option<[f64; 3]>;
 
+/// Frames a second of recordings that tell neither times nor a rate.
+const RATE: f64 = 30.0;
+
+/// The time that a frame tells under this name, where frames do: all of a recording or none (`untimed`), as its first one.
+fn told_time(
+    told: Option<f64>,
+    is_first: bool,
+    untimed: &mut bool,
+    name: &str,
+) -> Result<Option<f64>, String> {
+    *untimed |= is_first && told.is_none();
+    match (told, *untimed) {
+        (Some(_), true) => Err(format!("{name} is told, which the frames before do not")),
+        (None, false) => Err(format!("missing field `{name}`, which the frames before tell")),
+        _ => Ok(told),
+    }
+}
+
 /// That a frame comes after the one before.
 fn check_time(t: f64, before: Option<&LandmarkFrame>) -> Result<(), String> {
     if t.is_nan() || t.abs() > MAX_TIME {

@@ -33,6 +33,15 @@ fn join(server: &Server) -> RoomClient {
     RoomClient::connect(server.address(), "r", TOKEN).unwrap()
 }
 
+/// A room with a viewer, and a sender who has said hello.
+fn viewed() -> (Server, RoomClient, RoomClient) {
+    let server = server();
+    let viewer = join(&server);
+    let mut sender = join(&server);
+    sender.hello(&Hello::default()).unwrap();
+    (server, viewer, sender)
+}
+
 fn plane(period: u16, index: u16, length: usize) -> Plane {
     let mut payload = vec![7; length];
     if index == 0 {
@@ -108,10 +117,7 @@ fn two_senders_and_a_viewer() {
 
 #[test]
 fn a_sender_that_never_reads_is_asked_and_told() {
-    let server = server();
-    let mut viewer = join(&server);
-    let mut sender = join(&server);
-    sender.hello(&Hello::default()).unwrap();
+    let (server, mut viewer, mut sender) = viewed();
     for index in 0..100 {
         sender.planes(&[plane(0, index, 40)]).unwrap();
         next_plane(&mut viewer);
@@ -179,10 +185,7 @@ fn two_hundred_join_at_once_and_see_the_period() {
 
 #[test]
 fn a_killed_sender_is_told_and_not_replayed() {
-    let server = server();
-    let mut viewer = join(&server);
-    let mut sender = join(&server);
-    sender.hello(&Hello::default()).unwrap();
+    let (server, mut viewer, mut sender) = viewed();
     sender.planes(&[plane(0, 0, 40)]).unwrap();
     next_plane(&mut viewer);
     drop(sender);
@@ -607,10 +610,7 @@ fn files_are_gzipped_for_those_who_take_it() {
 
 #[test]
 fn planes_before_the_end_in_one_message_are_handed_on() {
-    let server = server();
-    let mut viewer = join(&server);
-    let mut sender = join(&server);
-    sender.hello(&Hello::default()).unwrap();
+    let (_server, mut viewer, mut sender) = viewed();
     let together = |messages: &[Message]| messages.iter().flat_map(Message::bytes).collect::<Vec<u8>>();
     let hello = Message::Hello { sender: 0, hands: [true, true], record: Vec::new() };
     let end = Message::End { sender: 0, parting: Parting::Left };

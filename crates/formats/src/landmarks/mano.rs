@@ -18,7 +18,7 @@ use std::slice::ChunksExact;
 use nalgebra::{Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};
 
 use super::npz::{self, Array};
-use super::{Axes, LandmarkClip, LandmarkFrame, Sided, check_size, place, read_document};
+use super::{Axes, LandmarkClip, LandmarkFrame, RATE, Sided, check_size, place, read_document};
 use crate::import::MEAN_HAND_LENGTH;
 use crate::motion::format::names_any;
 use crate::motion::{Content, ContentError, Format};
@@ -88,8 +88,6 @@ const NAMES: [&str; 16] = [
     "pred_cam_t_full",
     "mano",
 ];
-/// Frames a second of files that say no time.
-const RATE: f64 = 30.0;
 /// Joints that MANO turns, three a finger, and its fingers in its order.
 const TURNS: usize = 15;
 const FINGERS: [Finger; 5] = [Finger::Index, Finger::Middle, Finger::Pinky, Finger::Ring, Finger::Thumb];

@@ -19,7 +19,8 @@ use serde::de::{DeserializeSeed, Error, IntoDeserializer, MapAccess, SeqAccess, 
 use serde::{Deserialize, Deserializer};
 
 use super::{
-    Axes, LandmarkClip, LandmarkFrame, PicturePoints, PictureUnit, Point, check_time, place, read_document,
+    Axes, LandmarkClip, LandmarkFrame, PicturePoints, PictureUnit, Point, RATE, check_time, place,
+    read_document,
 };
 use crate::motion::Format;
 use crate::poses::json_message;
@@ -38,8 +39,6 @@ pub(crate) static FORMAT: Format = Format {
     write: None,
 };
 
-/// Frames a second of results that say no time.
-const RATE: f64 = 30.0;
 /// Joints of a hand.
 const POINTS: usize = 21;
 /// Points of a hand, hands of a picture, or categories of a hand, at most.

@@ -22,7 +22,7 @@ use std::io::{BufRead, Write};
 use serde::Deserialize;
 use serde_json::json;
 
-use super::{Axes, AxesSource, LandmarkClip, LandmarkFrame, Point, axes, check_time, place};
+use super::{Axes, AxesSource, LandmarkClip, LandmarkFrame, Point, RATE, axes, check_time, place, told_time};
 use crate::lines::LineReader;
 use crate::motion::format::{head, says};
 use crate::motion::{
@@ -57,8 +57,6 @@ pub const MAX_LINE_BYTES: usize = 64 * 1024;
 const METRE: &str = "m";
 /// Tips as MediaPipe has them, and at the ends of the fingers.
 const TIPS: [&str; 2] = ["inside", "end"];
-/// Frames a second of lines that tell neither times nor a rate.
-const RATE: f64 = 30.0;
 /// Digits after the point of a coordinate that are written.
 const DIGITS: i32 = 7;
 
@@ -195,16 +193,11 @@ fn parse_frame(text: &str, clip: &mut LandmarkClip, untimed: &mut bool) -> Resul
 /// The time of the next frame, from its number where no frame tells one.
 fn time(told: Option<f64>, clip: &mut LandmarkClip, untimed: &mut bool) -> Result<f64, String> {
     let number = clip.frames.len();
-    if number == 0 && told.is_none() {
-        *untimed = true;
-        clip.rate_assumed = clip.rate.is_none();
-        clip.rate.get_or_insert(RATE);
+    if let Some(time) = told_time(told, number == 0, untimed, "t")? {
+        return Ok(time);
     }
-    match (told, *untimed) {
-        (Some(_), true) => Err("t is told, which the frames before do not".into()),
-        (None, false) => Err("missing field `t`, which the frames before tell".into()),
-        (told, _) => Ok(told.unwrap_or_else(|| number as f64 / clip.rate.unwrap_or(RATE))),
-    }
+    clip.rate_assumed |= clip.rate.is_none();
+    Ok(number as f64 / *clip.rate.get_or_insert(RATE))
 }
 
 /// Writes 21 landmarks of the one hand that a clip has; hands of unknown sizes get those of `fallback`.

@@ -24,7 +24,7 @@ use serde::Deserialize;
 use serde::de::{DeserializeSeed, Deserializer, Error as _, IgnoredAny, MapAccess, SeqAccess, Visitor};
 use serde_json::{Value, json};
 
-use super::{LandmarkClip, LandmarkFrame, Point, check_time, place, tell_absences};
+use super::{LandmarkClip, LandmarkFrame, Point, RATE, check_time, place, tell_absences, told_time};
 use crate::motion::format::{head, says};
 use crate::motion::{
     Content, ContentError, Format, Keeps, Lost, Motion, WriteError, WriteOptions, Writer, rounded, sides,
@@ -57,8 +57,6 @@ pub(crate) static FORMAT: Format = Format {
 pub const NAME: &str = "webxr-hands";
 /// Its unit.
 const METRE: &str = "m";
-/// Frames a second of documents that tell neither times nor a rate.
-const RATE: f64 = 30.0;
 /// Digits after the point of all numbers but times.
 const DIGITS: i32 = 7;
 /// How far the orientation of a joint may be from that of our hand in the same pose, radians: some digits more than
@@ -339,16 +337,8 @@ impl Reading<'_> {
         self.frames += 1;
         let checked = self.limits.check_frames(self.frames, self.bytes.get());
         checked.map_err(|excess| excess.to_string())?;
-        self.untimed |= i == 0 && frame.time.is_none();
-        let time = match (frame.time, self.untimed) {
-            (Some(_), true) => {
-                return Err(format!("frame {i}: time is told, which the frames before do not"));
-            }
-            (None, false) => {
-                return Err(format!("frame {i}: missing field `time`, which the frames before tell"));
-            }
-            (told, _) => told.unwrap_or(i as f64),
-        };
+        let told = told_time(frame.time, i == 0, &mut self.untimed, "time");
+        let time = told.map_err(|what| format!("frame {i}: {what}"))?.unwrap_or(i as f64);
         self.instants.push(time);
         for hand in &frame.hands.0 {
             let side = hand.handedness;

@@ -15,7 +15,7 @@
 use serde_json::{Map, Value};
 
 use super::documents::{each_frame, get, get_in, point, side, stamp};
-use super::{LandmarkClip, LandmarkFrame, Point, Sided, place, read_document, seconds_of_stamps};
+use super::{LandmarkClip, LandmarkFrame, Point, RATE, Sided, place, read_document, seconds_of_stamps};
 use crate::motion::Format;
 use crate::motion::format::names_any;
 use handcast_gltf::joint_named;
@@ -47,8 +47,6 @@ const NAMES: [&str; 9] = [
     "thumb-metacarpal",
     "index-finger-tip",
 ];
-/// Frames a second of documents that say no time.
-const RATE: f64 = 30.0;
 /// How deep joints may lie under names that say nothing.
 const DEEPEST: usize = 4;
 

@@ -124,7 +124,12 @@ impl TrackedClip {
 pub fn check_length(source: &(impl FrameSource + ?Sized), limits: &Limits) -> Result<(), Excess> {
     let Some(times) = source.times() else { return Ok(()) };
     let seconds = times.first().zip(times.last()).map_or(0.0, |(first, last)| last - first);
-    limits.check_count(Limit::Instants, times.len())?;
+    check_extent(limits, times.len(), seconds)
+}
+
+/// That so many frames over so many seconds are allowed.
+fn check_extent(limits: &Limits, frames: usize, seconds: f64) -> Result<(), Excess> {
+    limits.check_count(Limit::Instants, frames)?;
     limits.check(Limit::Seconds, seconds)
 }
 
@@ -312,8 +317,7 @@ impl Length<'_> {
     fn add(&mut self, time: f64) -> Result<(), Excess> {
         self.first = if self.count == 0 { time } else { self.first };
         self.count += 1;
-        self.limits.check_count(Limit::Instants, self.count)?;
-        self.limits.check(Limit::Seconds, time - self.first)
+        check_extent(self.limits, self.count, time - self.first)
     }
 }
 
