@@ -12,8 +12,8 @@ pub const LEAST_REACH: f64 = 0.5;
 
 /// The thumb counts as stretched out when its tip is more than so many times as far from the base of the little
 /// finger (its MCP joint) as the thumb's own MCP joint is: straight beside the hand or away from it. Bent towards the
-/// index finger or across the palm it does not. Of the hand shapes in `spec/hand-shapes.toml` the most relaxed thumb
-/// reaches 1.34 (`rest`), the least of the straight ones 1.38 (`asl:A`); out of the palm it is 1.5.
+/// index finger or across the palm it does not. Of the hand shapes in `hand-shapes.toml` the most relaxed thumb reaches
+/// 1.34 (`rest`), the least of those stretched out 1.41 (`flat`); wide of the palm it is 1.5.
 pub const THUMB_OUT: f64 = 1.36;
 
 /// Whether each finger of a pose is stretched out, in the order of [`Finger::ALL`], by [`LEAST_REACH`] and
