@@ -1,6 +1,6 @@
 //! Hand shapes by name, and their succession in time: finger spelling.
 //!
-//! The shapes are in `spec/hand-shapes.toml`. Transitions follow the minimum-jerk law of Flash & Hogan
+//! The shapes are in `hand-shapes.toml`. Transitions follow the minimum-jerk law of Flash & Hogan
 //! (J. Neurosci. 5, 1985); since feasible poses form a convex set, every pose on the way between two
 //! feasible ones is feasible.
 
@@ -112,7 +112,7 @@ impl ShapeLibrary {
         Self::parse(include_str!("../hand-shapes.toml"))
     }
 
-    /// Reads shapes from TOML, in the form that `spec/hand-shapes.toml` explains.
+    /// Reads shapes from TOML, in the form that `hand-shapes.toml` explains.
     ///
     /// # Errors
     /// [`ShapeError::Syntax`], [`ShapeError::Value`] or [`ShapeError::Infeasible`].
