@@ -217,8 +217,7 @@ pub fn stream_facts(decoded: &DecodedStream, bytes: usize) -> serde_json::Map<St
     let seconds = totals.times.map_or(0.0, |[first, last]| last - first) + decoded.rate.recip();
     let facts = serde_json::json!({
         "stream_bytes": bytes,
-        "stream_bits": totals.bits,
-        "bits_per_second": (totals.bits as f64 / seconds.max(1e-9)).round(),
+        "kbit_per_s": 8e-3 * bytes as f64 / seconds.max(1e-9),
         "planes": totals.planes,
         "intra_planes": totals.intra_planes,
         "quantiser_indices": totals.quants,

@@ -88,7 +88,11 @@ fn tails_and_what_follows_the_end_are_decoded_and_told() {
             for output in ["cut.jsonl", "cut.bap"].map(at) {
                 let said =
                     handcast(&["decode", path(&at("cut.fba")), "-o", path(&output), "--conceal"]).stderr;
-                assert!(text(&said).contains("no I plane follows the damage"), "{}", text(&said));
+                assert!(
+                    text(&said).contains("no I plane that a start code marks follows the damage"),
+                    "{}",
+                    text(&said)
+                );
             }
             done(&["view", path(&at("tail.fba")), "-o", path(&at("tail.html"))]);
         }

@@ -944,7 +944,11 @@ mod tests {
                 {
                     let notices = crate::notices::of_damage(damage, "pose is").join(" ");
                     assert_eq!(damage.abandoned() > 0, lost, "{at} of {}: {notices}", stream.len());
-                    assert_eq!(notices.contains("no I plane follows"), lost, "{notices}");
+                    assert_eq!(
+                        notices.contains("no I plane that a start code marks follows"),
+                        lost,
+                        "{notices}"
+                    );
                     told += 1;
                 }
             }

@@ -145,8 +145,8 @@ pub fn of_damage(damage: &Damage, held: &str) -> Vec<String> {
     let further = (damage.further() > 0).then(|| format!("{} further places are damaged", damage.further()));
     let abandoned = (damage.abandoned() > 0).then(|| {
         format!(
-            "no I plane follows the damage: {} bytes up to the end of the stream are passed over, and what they told is \
-             missing",
+            "no I plane that a start code marks follows the damage (encode --resync writes such): {} bytes up to the end of \
+             the stream are passed over, and what they told is missing",
             damage.abandoned()
         )
     });

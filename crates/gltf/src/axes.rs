@@ -35,13 +35,12 @@ impl NodeAxes {
     /// How the node of each joint is turned in the joint's frame ([`HandFrames`]), in the order of [`Joint::ALL`]. Only the
     /// metacarpals of the long fingers depend on the person: their frames are those of the palm.
     pub(super) fn turns(self, morphology: &Morphology, side: Side) -> [UnitQuaternion<f64>; Joint::COUNT] {
-        match self {
-            Self::WebXr => [ours_from_webxr(); Joint::COUNT],
-            Self::Bones => {
-                let rest = Skeleton::new(morphology, side).local_frames(&[0.0; JointAngle::COUNT]);
-                Joint::ALL.map(|joint| along_the_bone(joint, &rest))
-            }
-        }
+        let rest = Skeleton::new(morphology, side).local_frames(&[0.0; JointAngle::COUNT]);
+        let axes = match self {
+            Self::WebXr => ours_from_webxr(),
+            Self::Bones => UnitQuaternion::identity(),
+        };
+        Joint::ALL.map(|joint| along_the_bone(joint, &rest) * axes)
     }
 }
 
@@ -59,10 +58,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_y_axis_is_the_bone() {
-        for side in [Side::Left, Side::Right] {
+    fn one_axis_is_the_bone() {
+        let cases = [(NodeAxes::Bones, Vector3::y()), (NodeAxes::WebXr, -Vector3::z())];
+        for (side, (axes, axis)) in
+            [Side::Left, Side::Right].into_iter().flat_map(|side| cases.map(|case| (side, case)))
+        {
             let sizes = Morphology::average(0.18);
-            let turns = NodeAxes::Bones.turns(&sizes, side);
+            let turns = axes.turns(&sizes, side);
             let mut angles = [0.0; JointAngle::COUNT];
             for (k, angle) in angles.iter_mut().enumerate() {
                 *angle = 0.2 + 0.01 * k as f64;
@@ -72,8 +74,8 @@ mod tests {
             for joint in Joint::ALL {
                 let Some(above) = joint.parent().filter(|&above| above != Joint::Wrist) else { continue };
                 let bone = frames.position(joint) - frames.position(above);
-                let y = frames.get(above).rotation * turns[above.index()] * Vector3::y();
-                assert!(y.angle(&bone) < 1e-6, "{}", above.webxr_name());
+                let along = frames.get(above).rotation * turns[above.index()] * axis;
+                assert!(along.angle(&bone) < 1e-6, "{axes:?} {}", above.webxr_name());
                 bones += 1;
             }
             assert_eq!(bones, 19);

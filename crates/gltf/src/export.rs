@@ -8,11 +8,11 @@ use super::animation::{Channels, moves};
 use super::skin::{push_material, push_skinned_mesh};
 use super::writer::Writer;
 use super::{Clip, ExportOptions, FRAME_RATE, GltfError, HandTrack, START};
-use handcast_hand::{Joint, Morphology, PLAIN_SKIN, Side, Skeleton};
+use handcast_hand::{HandPose, Joint, Morphology, PLAIN_SKIN, Side, Skeleton};
 
 /// What the wrist's `extras` call the axes of the nodes.
 pub(super) const AXES: &str = "axes";
-/// Rotations that stay this close to the first key keep still, radians.
+/// Rotations that stay this close to their node's keep still, radians.
 const STILL: f64 = 1e-6;
 
 /// Writes the clip as a binary glTF file.
@@ -30,7 +30,8 @@ pub fn export(clip: &Clip, options: &ExportOptions) -> Result<Vec<u8>, GltfError
     for (track, side) in clip.hands.iter().zip(&sides) {
         let turns = options.axes.turns(&track.morphology, *side);
         let locals = local_tracks(track, *side, &turns);
-        let nodes = push_nodes(&mut writer, &locals, *side, clip.hands.len(), options);
+        let rests = rests(track, *side, &turns, &locals, options);
+        let nodes = push_nodes(&mut writer, &rests, *side, clip.hands.len(), options);
         scene.push(nodes[0]);
         if !options.animation_only {
             let mesh = options.skins.mesh(&track.morphology, *side);
@@ -43,7 +44,7 @@ pub fn export(clip: &Clip, options: &ExportOptions) -> Result<Vec<u8>, GltfError
             materials.push((&track.morphology, material));
             scene.push(push_skinned_mesh(&mut writer, &mesh, &nodes, &turns, material, options.quantize));
         }
-        push_track(&mut channels, &mut writer, track, &locals, &nodes);
+        push_track(&mut channels, &mut writer, track, &locals, (&rests, &nodes));
     }
     writer.root.push(channels.finish());
     let scene = writer.root.push(Scene { extensions: None, extras: None, name: None, nodes: scene });
@@ -101,25 +102,52 @@ fn local_tracks(
     turns: &[UnitQuaternion<f64>; Joint::COUNT],
 ) -> Vec<Vec<Isometry3<f64>>> {
     let skeleton = Skeleton::new(&track.morphology, side);
-    let turn = |joint: Joint| turns[joint.index()];
     let mut locals = vec![Vec::with_capacity(track.poses.len()); Joint::ALL.len()];
     for (_, pose) in &track.poses {
-        let frames = skeleton.frames(pose);
-        for (joint, local) in Joint::ALL.into_iter().zip(&mut locals) {
-            let world = frames.get(joint) * turn(joint);
-            local.push(match joint.parent() {
-                Some(parent) => (frames.get(parent) * turn(parent)).inverse() * world,
-                None => world,
-            });
+        for (joint, local) in locals_of(&skeleton, pose, turns).into_iter().zip(&mut locals) {
+            local.push(joint);
         }
     }
     locals
 }
 
-/// The joint nodes at the first pose, wrist first.
+/// Transforms of a pose's joints relative to their parents, the nodes turned by `turns`.
+fn locals_of(
+    skeleton: &Skeleton,
+    pose: &HandPose,
+    turns: &[UnitQuaternion<f64>; Joint::COUNT],
+) -> [Isometry3<f64>; Joint::COUNT] {
+    let frames = skeleton.frames(pose);
+    let turned = |joint: Joint| frames.get(joint) * turns[joint.index()];
+    Joint::ALL.map(|joint| match joint.parent() {
+        Some(parent) => turned(parent).inverse() * turned(joint),
+        None => turned(joint),
+    })
+}
+
+/// How the nodes stand: as in the first pose, which a file shows that is not played. Where no skin says how the hand rests the
+/// nodes do, with straight fingers: other programs, and this one, read motions by how joints are turned from there.
+fn rests(
+    track: &HandTrack,
+    side: Side,
+    turns: &[UnitQuaternion<f64>; Joint::COUNT],
+    locals: &[Vec<Isometry3<f64>>],
+    options: &ExportOptions,
+) -> [Isometry3<f64>; Joint::COUNT] {
+    let first = |joint: Joint| locals[joint.index()].first().copied().unwrap_or_else(Isometry3::identity);
+    if !options.animation_only {
+        return Joint::ALL.map(first);
+    }
+    let skeleton = Skeleton::new(&track.morphology, side);
+    let mut rests = locals_of(&skeleton, &HandPose::neutral(side), turns);
+    rests[Joint::Wrist.index()] = first(Joint::Wrist);
+    rests
+}
+
+/// The joint nodes, wrist first.
 fn push_nodes(
     writer: &mut Writer,
-    locals: &[Vec<Isometry3<f64>>],
+    rests: &[Isometry3<f64>; Joint::COUNT],
     side: Side,
     hands: usize,
     options: &ExportOptions,
@@ -127,8 +155,7 @@ fn push_nodes(
     let first = writer.root.nodes.len() as u32;
     let index = |joint: Joint| Index::new(first + joint.index() as u32);
     let palm = options.names.palm(side);
-    for (joint, local) in Joint::ALL.into_iter().zip(locals) {
-        let rest = local.first().copied().unwrap_or_else(Isometry3::identity);
+    for (joint, rest) in Joint::ALL.into_iter().zip(rests) {
         let mut children: Vec<_> =
             Joint::ALL.into_iter().filter(|j| j.parent() == Some(joint)).map(index).collect();
         if palm.is_some() && joint == Joint::MiddleMetacarpal {
@@ -148,8 +175,7 @@ fn push_nodes(
     }
     if let Some(name) = palm {
         // OpenXR: in the middle of the middle finger's metacarpal bone.
-        let bone = &locals[Joint::MiddleProximal.index()];
-        let middle = bone.first().map_or_else(Vector3::zeros, |l| l.translation.vector / 2.0);
+        let middle = rests[Joint::MiddleProximal.index()].translation.vector / 2.0;
         writer.root.push(Node {
             name: Some(name.into()),
             translation: Some(middle.cast::<f32>().into()),
@@ -164,7 +190,7 @@ fn push_track(
     writer: &mut Writer,
     track: &HandTrack,
     locals: &[Vec<Isometry3<f64>>],
-    nodes: &[Index<Node>],
+    (rests, nodes): (&[Isometry3<f64>; Joint::COUNT], &[Index<Node>]),
 ) {
     let times: Vec<f64> = track.poses.iter().map(|(t, _)| *t).collect();
     for (joint, (local, node)) in Joint::ALL.into_iter().zip(locals.iter().zip(nodes)) {
@@ -174,7 +200,7 @@ fn push_track(
             channels.translation(writer, &times, &keys, 1.0, *node);
         }
         let keys: Vec<UnitQuaternion<f64>> = local.iter().map(|i| i.rotation).collect();
-        if keys.first().is_some_and(|rest| moves(&keys, rest, STILL)) {
+        if moves(&keys, &rests[joint.index()].rotation, STILL) {
             channels.rotation(writer, &times, keys, *node);
         }
     }

@@ -104,7 +104,7 @@ pub struct ExportOptions {
     pub names: JointNames,
     /// Axes of the joint nodes.
     pub axes: NodeAxes,
-    /// Leave out mesh and skin: joints and animation only.
+    /// Leave out mesh and skin: joints, which stand with straight fingers, and animation only.
     pub animation_only: bool,
     /// Name of the animation.
     pub animation: String,

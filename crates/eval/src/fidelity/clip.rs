@@ -262,7 +262,9 @@ fn seam_of(clip: &TrackedClip, truth: Option<&PoseClip>) -> Result<TrackingSeam,
             seconds: clip.timings.frames.track.get(i).map_or(0.0, std::time::Duration::as_secs_f64),
         });
         frame_iou.push(tracked.iou);
-        worst_overlap.add(1.0 - tracked.iou, i, time);
+        if tracked.valid && tracked.iou > 0.0 {
+            worst_overlap.add(1.0 - tracked.iou, i, time);
+        }
         if let Some(pose) = pose {
             let off = angles_off(&angles, pose, &found);
             frame_deg.push(off);
