@@ -235,7 +235,7 @@ pub struct RateArgs {
     /// Do not send the sizes of the person's hands and the tone of their skin along
     #[arg(long)]
     pub no_sizes: bool,
-    /// Send them again with every I plane, for viewers that come later; with --resync
+    /// Send them again with every I plane, for viewers that come later; includes --resync
     #[arg(long, conflicts_with_all = ["no_sizes", "no_resync"])]
     pub repeat_sizes: bool,
     /// Leave out the joint angles that the hand model ties to others (end joints, the thumb's second joint);

@@ -202,11 +202,15 @@ fn deliver(args: &Args, stream: &[u8], [start, seconds]: [f64; 2]) -> anyhow::Re
     if let (Some(path), Some(clip)) = (&args.clip, &clip)
         && let Some(end) = pictures_end_at(clip)
     {
-        let stream = pictures_start_at(clip) + start + seconds;
-        if (stream - end).abs() > APART {
+        let begin = pictures_start_at(clip) + start;
+        let (stream, name) = (begin + seconds, path.display());
+        if stream > end + APART {
             errln!(
-                "handcast: the stream ends at {stream:.2} s, the pictures of {} at {end:.2} s: are the poses those of this clip?",
-                path.display()
+                "handcast: the stream ends at {stream:.2} s, the pictures of {name} at {end:.2} s: are the poses those of this clip?"
+            );
+        } else if stream < end - APART {
+            errln!(
+                "handcast: the stream is beside the pictures of {name} from {begin:.2} to {stream:.2} s, of {end:.2} s"
             );
         }
     }

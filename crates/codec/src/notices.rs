@@ -38,10 +38,8 @@ pub fn of_poses(clip: &PoseClip, profile: Profile, max_gap: f64) -> Vec<String> 
     });
     let bridged = absences.iter().map(|hand| hand.bridged).sum::<usize>();
     let bridged = (bridged > 0).then(|| {
-        format!(
-            "{bridged} poses in short gaps are interpolated between those before and behind, and the stream \
-             does not say so"
-        )
+        let poses = if bridged == 1 { "1 pose in a gap is" } else { &format!("{bridged} poses in gaps are") };
+        format!("{poses} interpolated between those before and behind, and the stream does not say so")
     });
     let told = absences.iter().flat_map(Absences::told);
     far.into_iter().chain(bridged).chain(lost).chain(told).collect()
@@ -317,7 +315,7 @@ mod tests {
         gaps.frames.drain(20..24);
         gaps.frames.drain(11..12);
         let said = told(&gaps);
-        assert!(said.len() == 2 && said[0].starts_with("7 poses in short gaps"), "{said:?}");
+        assert!(said.len() == 2 && said[0].starts_with("7 poses in gaps"), "{said:?}");
         assert!(said[1].starts_with("12 poses are of a lost hand"), "{said:?}");
         let said = of_poses(&gaps, Profile::Hand, 0.0);
         assert!(said[0].starts_with("14 poses are") && said[1].starts_with("5 frames have"), "{said:?}");
@@ -328,9 +326,7 @@ mod tests {
         assert!(!poses_keep(&gaps, 30.0));
         let said = told(&gaps);
         assert!(
-            said.len() == 2
-                && said[0].starts_with("2 poses in short gaps")
-                && said[1].starts_with("12 poses"),
+            said.len() == 2 && said[0].starts_with("2 poses in gaps") && said[1].starts_with("12 poses"),
             "{said:?}"
         );
     }

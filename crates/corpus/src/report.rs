@@ -14,6 +14,8 @@ use crate::line::{Entry, Failure, Kind};
 const LISTED: usize = 25;
 /// How many kinds of failure, and names of each, are told.
 const REASONS: usize = 25;
+/// How many of them are in the text.
+const TOLD: usize = 3;
 /// How many names of files that are no inputs are in the text.
 const OTHERS: usize = 5;
 
@@ -243,12 +245,17 @@ impl std::fmt::Display for Report {
         if let Some(confidence) = self.confidence {
             writeln!(f, "  sure        confidence {confidence:.2} on average")?;
         }
-        for reason in self.reasons.iter().take(3) {
+        for reason in self.reasons.iter().take(TOLD) {
             let first = reason.names.first().map_or("", String::as_str);
             match reason.count {
                 1 => writeln!(f, "  failed      {first}: {}", reason.error)?,
                 count => writeln!(f, "  failed      {count}, the first {first}: {}", reason.error)?,
             }
+        }
+        let told: u64 = self.reasons.iter().take(TOLD).map(|reason| reason.count).sum();
+        let more = self.failures.saturating_sub(told);
+        if more > 0 {
+            writeln!(f, "  failed      {more} more for other reasons, which report.json tells")?;
         }
         Ok(())
     }

@@ -542,7 +542,7 @@ impl Expander {
     pub fn read_all(&mut self, bytes: &[u8]) -> Result<Vec<Message>, WireError> {
         let mut messages: Vec<Message> = Vec::new();
         let mut rest = bytes;
-        while !rest.is_empty() {
+        loop {
             if messages.len() == MAX_TOGETHER {
                 return Err(WireError::Together);
             }
@@ -551,10 +551,12 @@ impl Expander {
                 _ => None,
             };
             let (message, behind) = self.read(rest, beside)?;
-            rest = behind;
             messages.push(message);
+            if behind.is_empty() {
+                return Ok(messages);
+            }
+            rest = behind;
         }
-        Ok(messages)
     }
 
     /// The message at the beginning of `bytes`, right behind a plane of the sender `beside`, and what is behind it.
@@ -756,6 +758,7 @@ mod tests {
     #[test]
     fn what_is_wrong_is_named() {
         let error = |bytes: &[u8]| decode_all(bytes).unwrap_err().to_string();
+        assert_eq!(error(&[]), "live message: ends after 0 bytes");
         assert_eq!(error(&[0x15, 0]), "live message: version 1, expected 3");
         assert_eq!(error(&[0x3f]), "live message: kind 15, expected 0 to 7");
         assert_eq!(error(&[0x34, 16]), "live message: sender 16, allowed are 0 to 15");

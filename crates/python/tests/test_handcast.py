@@ -264,7 +264,7 @@ class Warned(InFolder):
         self.assertEqual(self.said(handcast.encode, clip(wrist=still)), [])
         for made, word in (
             (clip(wrist=far), "in 30 poses the wrist is more than 3.46 m"),
-            (clip(valid=np.arange(30) != 9), "1 poses in short gaps are interpolated"),
+            (clip(valid=np.arange(30) != 9), "1 pose in a gap is interpolated"),
             (clip(valid=np.arange(30) % 20 < 8), "14 poses are of a lost hand"),
             (clip(24.0), "interpolated at 24.00 frames/s"),
         ):
