@@ -7,16 +7,17 @@ use std::process::Command;
 use serde_json::Value;
 
 /// What each crate may use of the others: only crates above it, so arrows go one way.
-const USES: [(&str, &[&str]); 19] = [
+const USES: [(&str, &[&str]); 20] = [
     ("limits", &[]),
+    ("iso", &[]),
     ("fba", &[]),
     ("hand", &[]),
     ("js", &[]),
     ("picture", &[]),
     ("codec", &["fba", "hand", "limits"]),
     ("gltf", &["hand", "limits"]),
-    ("formats", &["codec", "fba", "gltf", "hand", "limits"]),
-    ("media", &["limits", "picture"]),
+    ("formats", &["codec", "fba", "gltf", "hand", "iso", "limits"]),
+    ("media", &["iso", "limits", "picture"]),
     ("vision", &["picture"]),
     ("net", &["vision"]),
     ("vmc", &["hand"]),
