@@ -82,7 +82,7 @@ impl Head {
 
     /// The type, for people.
     pub fn name(&self) -> String {
-        String::from_utf8_lossy(&self.kind).into_owned()
+        self.kind.escape_ascii().to_string()
     }
 }
 
@@ -177,7 +177,7 @@ pub fn child<'a>(content: &'a [u8], kind: &[u8; 4]) -> Found<Option<&'a [u8]>> {
 /// # Errors
 /// It is not there, or boxes before it are damaged.
 pub fn needed<'a>(content: &'a [u8], kind: &[u8; 4]) -> Found<&'a [u8]> {
-    let name = || String::from_utf8_lossy(kind).into_owned();
+    let name = || kind.escape_ascii();
     child(content, kind)?.ok_or_else(|| Damage(format!("there is no box {}", name())))
 }
 
