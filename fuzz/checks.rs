@@ -11,7 +11,7 @@ use handcast_codec::{PoseDecoder, PoseDecoderOptions};
 use handcast_fba::bap::{Bap, BapFrame, StepTable, epf, text};
 use handcast_fba::inspect::Inspector;
 use handcast_fba::{
-    DecodedFrame, Decoder, DecoderOptions, Encoder, EncoderConfig, Limits, SyntaxError, encode_epf,
+    DecodedFrame, Decoder, DecoderLimits, DecoderOptions, Encoder, EncoderConfig, SyntaxError, encode_epf,
 };
 use handcast_hand::TimedPose;
 use handcast_net::files::{Bundle, Size};
@@ -96,7 +96,7 @@ pub fn chunking(data: &[u8]) {
     assert_eq!(whole, run(data, DecoderOptions::default(), std::iter::repeat(1)));
     for conceal in [false, true] {
         // A plane of a few bits may skip half an hour.
-        let limits = Limits { skipped_frames: 20, ..Limits::default() };
+        let limits = DecoderLimits { skipped_frames: 20, ..DecoderLimits::default() };
         let options = DecoderOptions { conceal, limits, ..DecoderOptions::default() };
         assert_eq!(poses(data, options, usize::MAX), poses(data, options, 1));
     }
@@ -117,7 +117,7 @@ fn pieces(mut data: &[u8]) -> impl Iterator<Item = &[u8]> {
 pub fn packets(data: &[u8]) {
     let [patience, group, distance, rest @ ..] = data else { return };
     let mut unpacker = Unpacker::new(*patience);
-    let limits = Limits { skipped_frames: 20, ..Limits::default() };
+    let limits = DecoderLimits { skipped_frames: 20, ..DecoderLimits::default() };
     let options = DecoderOptions { conceal: true, limits, ..DecoderOptions::default() };
     let mut decoder = PoseDecoder::new(PoseDecoderOptions::default().with_decoder(options));
     let mut bytes = 0;
@@ -236,7 +236,7 @@ pub fn epf_text(data: &[u8]) {
 
 /// Any bytes are refused with a reason, or are a network that runs, the second time as the first.
 pub fn network(data: &[u8]) {
-    let limits = model::Limits::default()
+    let limits = model::NetworkLimits::default()
         .with_elements(1 << 12)
         .with_total_elements(1 << 14)
         .with_multiplications(1 << 20);

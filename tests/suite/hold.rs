@@ -197,7 +197,7 @@ fn hostile_tables_of_movies_are_refused() {
         (vec![table(b"stts", &[u32::MAX])], b"", "stts says 4294967295 entries"),
         (vec![table(b"stsc", &[1, 2, 5, 1])], b"", "does not begin with the first chunk"),
         (vec![table(b"stsc", &[0])], b"", "does not begin with the first chunk"),
-        (vec![table(b"stco", &[0])], b"", "chunks hold fewer pictures"),
+        (vec![table(b"stco", &[0])], b"", "chunks hold fewer samples"),
         (vec![table(b"ctts", &[1, 4, 0])], b"", "ctts is of fewer pictures"),
         (vec![], b"", if aborts { "ffmpeg failed" } else { "frame 0" }),
     ] {

@@ -7,29 +7,27 @@ use std::process::Command;
 use serde_json::Value;
 
 /// What each crate may use of the others: only crates above it, so arrows go one way.
-const USES: [(&str, &[&str]); 19] = [
+const USES: [(&str, &[&str]); 20] = [
     ("limits", &[]),
+    ("iso", &[]),
     ("fba", &[]),
     ("hand", &[]),
     ("js", &[]),
     ("picture", &[]),
     ("codec", &["fba", "hand", "limits"]),
     ("gltf", &["hand", "limits"]),
-    ("formats", &["codec", "fba", "gltf", "hand", "limits"]),
-    ("media", &["limits", "picture"]),
+    ("formats", &["codec", "fba", "gltf", "hand", "iso", "limits"]),
+    ("media", &["iso", "limits", "picture"]),
     ("vision", &["picture"]),
     ("net", &["vision"]),
     ("vmc", &["hand"]),
     ("track", &["hand", "limits", "media", "picture", "vision"]),
     ("render", &["hand", "picture", "track", "vision"]),
-    ("view", &["formats", "hand", "js", "limits", "media", "picture"]),
+    ("view", &["hand", "js", "limits", "media", "picture"]),
     ("live", &["codec", "fba", "hand", "js"]),
     ("web", &["codec", "fba", "hand", "live", "media", "track"]),
     ("corpus", &["codec", "fba", "formats", "hand", "limits", "media", "track", "view"]),
-    (
-        "eval",
-        &["codec", "fba", "formats", "gltf", "hand", "media", "picture", "render", "track", "view", "vision"],
-    ),
+    ("eval", &["codec", "fba", "formats", "gltf", "hand", "media", "render", "track", "view", "vision"]),
 ];
 
 /// What is not part of the workspace, because few need what it brings.
@@ -60,7 +58,13 @@ fn cargo(args: &[&str]) -> String {
 fn named(package: &Value, dev: bool) -> BTreeSet<String> {
     let all = package["dependencies"].as_array().unwrap().iter();
     let of_kind = all.filter(|d| (d["kind"] == "dev") == dev);
-    of_kind.filter_map(|d| Some(d["name"].as_str()?.strip_prefix("handcast-")?.to_owned())).collect()
+    let ours = of_kind.filter_map(|d| d["name"].as_str()).filter(|name| name.starts_with("handcast"));
+    ours.map(short).collect()
+}
+
+/// A crate of ours without what all of them begin with, as they call each other.
+fn short(name: &str) -> String {
+    name.strip_prefix("handcast-").unwrap_or(name).to_owned()
 }
 
 fn set(names: &[&str]) -> BTreeSet<String> {
@@ -86,15 +90,47 @@ fn arrows_between_crates_go_one_way() {
         assert!(allowed.is_subset(&above), "{name} may use only crates above it: {allowed:?}");
         above.insert(name.to_owned());
         let package = packages[format!("handcast-{name}").as_str()];
-        let used = named(package, false);
-        let more: Vec<_> = used.difference(&allowed).collect();
-        assert!(more.is_empty(), "{name} must not use {more:?}, only {allowed:?}");
-        let used = named(package, true);
-        let more: Vec<_> = used.difference(&allowed).collect();
-        assert!(more.is_empty(), "tests of {name} must not use {more:?}, only {allowed:?}");
+        let used = &named(package, false) | &named(package, true);
+        assert_eq!(used, allowed, "what {name} and its tests use, and what they may use");
     }
     let root = packages["handcast"];
     assert!(named(root, false).is_subset(&above) && named(root, true).is_empty());
+}
+
+/// The crates that a line of text names in backticks.
+fn ticked(line: &str) -> BTreeSet<String> {
+    line.split('`').skip(1).step_by(2).map(short).collect()
+}
+
+#[test]
+fn what_crates_use_is_told_as_it_is() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let mut uses = BTreeMap::new();
+    for place in ["".to_owned()].into_iter().chain(APART.map(|apart| format!("crates/{apart}/"))) {
+        let manifest = format!("{place}Cargo.toml");
+        let facts = cargo(&["metadata", "--no-deps", "--format-version", "1", "--manifest-path", &manifest]);
+        let facts: Value = serde_json::from_str(&facts).unwrap();
+        let packages = facts["packages"].as_array().unwrap();
+        uses.extend(packages.iter().map(|p| (short(p["name"].as_str().unwrap()), named(p, false))));
+    }
+    let map = std::fs::read_to_string(root.join("ARCHITECTURE.md")).unwrap();
+    for (name, used) in uses.iter().filter(|(name, _)| *name != "handcast") {
+        let row = map.lines().find(|line| line.starts_with(&format!("| [`{name}`](crates/{name}) |")));
+        let cell = row.and_then(|row| row.rsplit('|').nth(1)).unwrap_or_default();
+        assert_eq!(ticked(cell), *used, "what {name} uses, in ARCHITECTURE.md and in fact");
+        // That of `js` is the npm package's.
+        if name == "js" {
+            continue;
+        }
+        let readme = std::fs::read_to_string(root.join(format!("crates/{name}/README.md"))).unwrap();
+        let told = |begin: &str| {
+            ticked(readme.lines().find_map(|line| line.strip_prefix(begin)).unwrap_or_default())
+        };
+        let by: BTreeSet<String> =
+            uses.iter().filter(|(_, used)| used.contains(name)).map(|(by, _)| by.clone()).collect();
+        assert_eq!(told("* Uses: "), *used, "what {name} uses, in its README and in fact");
+        assert_eq!(told("* Used by: "), by, "what uses {name}, in its README and in fact");
+    }
 }
 
 /// Crates that a package and its features bring along, itself included, by name and version.

@@ -17,14 +17,14 @@ use crate::bap::{BapFrame, BapMask, StepTable};
 
 /// What a decoder may be made to hold or do by its input.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Limits {
+pub struct DecoderLimits {
     /// Most bytes waiting to be decoded; a push beyond it is refused.
     pub buffered_bytes: usize,
     /// Most frames a plane header may skip.
     pub skipped_frames: u32,
 }
 
-impl Default for Limits {
+impl Default for DecoderLimits {
     /// 16 MiB of waiting bytes; 65 535 skipped frames (half an hour at 30 frames/s).
     fn default() -> Self {
         Self { buffered_bytes: 16 << 20, skipped_frames: 65_535 }
@@ -39,7 +39,7 @@ pub struct DecoderOptions {
     /// How range codes become levels; the stream does not say that either.
     pub ranges: RangeRule,
     /// Bounds on memory and fields.
-    pub limits: Limits,
+    pub limits: DecoderLimits,
     /// Deliver a held frame in place of each error after the first I plane; the error is then found
     /// in [`DecodedFrame::damage`].
     pub conceal: bool,

@@ -113,7 +113,7 @@ pub enum SyntaxError {
         /// Bit offset of the plane.
         bit: u64,
     },
-    /// More skipped frames than [`Limits`](super::Limits) allow.
+    /// More skipped frames than [`DecoderLimits`](super::DecoderLimits) allow.
     #[error("bit {bit}: more than {limit} frames skipped at once")]
     SkipLimit {
         /// Bit offset of the plane.
@@ -129,7 +129,7 @@ pub enum SyntaxError {
         /// The BAP.
         bap: u16,
     },
-    /// More data pushed than [`Limits`](super::Limits) allow to be held.
+    /// More data pushed than [`DecoderLimits`](super::DecoderLimits) allow to be held.
     #[error("{held} bytes wait to be decoded, at most {limit} are allowed")]
     BufferLimit {
         /// Bytes that would be held.

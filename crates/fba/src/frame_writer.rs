@@ -17,7 +17,7 @@ const P_HEADER: PlaneHeader = PlaneHeader {
     explicit_skip: false,
 };
 
-/// Frames that a plane may skip for decoders to take it, by [`Limits`](super::Limits).
+/// Frames that a plane may skip for decoders to take it, by [`DecoderLimits`](super::DecoderLimits).
 const MOST_SKIPPED: u32 = 65_535;
 
 /// Bits of a header that says that no frame is skipped, over those of one that says nothing of it.

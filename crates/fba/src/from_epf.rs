@@ -5,7 +5,7 @@ use thiserror::Error;
 use super::error::EncodeError;
 use super::syntax::{FrameRate, IntraParams, PlaneHeader, PlaneKind, RANGE_DELTA, RangeCodes, TimeCode};
 use super::writer::PlaneWriter;
-use crate::bap::epf::{EpfFrame, Limits};
+use crate::bap::epf::{BapLimits, EpfFrame};
 use crate::bap::text::BapFile;
 use crate::bap::{BAP_COUNT, BapFrame, StepTable};
 
@@ -130,7 +130,7 @@ fn find<'a>(file: &'a BapFile, plane: &EpfFrame, number: usize) -> Result<&'a Ba
 }
 
 /// Codes of limits: their magnitudes in units of 60 base steps, rounded up.
-fn range_codes(limits: &Limits) -> RangeCodes {
+fn range_codes(limits: &BapLimits) -> RangeCodes {
     let mut codes = [0; BAP_COUNT];
     for (code, limit) in codes.iter_mut().zip(limits) {
         *code = limit.unsigned_abs().div_ceil(RANGE_DELTA as u32) as u8;

@@ -23,7 +23,7 @@ pub mod state;
 pub mod syntax;
 pub mod writer;
 
-pub use decoder::{DecodedFrame, Decoder, DecoderOptions, Limits};
+pub use decoder::{DecodedFrame, Decoder, DecoderLimits, DecoderOptions};
 pub use encoder::{Encoder, EncoderConfig};
 pub use error::{EncodeError, ErrorKind, SyntaxError};
 pub use from_epf::{EpfEncodeError, encode_epf};

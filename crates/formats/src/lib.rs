@@ -1,4 +1,5 @@
-//! The formats of motions and persons.
+//! The formats of motions and persons; and how files of any kind come and go: whole or not at all ([`atomic`], [`unfinished`]), within
+//! limits ([`whole`]), line by line ([`lines`]).
 
 pub mod atomic;
 mod batches;

@@ -23,6 +23,7 @@ use std::borrow::Cow;
 
 use handcast_fba::inspect::Inspector;
 use handcast_fba::{DecoderOptions, FrameRate, PlaneKind, SyntaxError};
+use handcast_iso::Damage;
 use thiserror::Error;
 
 use boxes::Out;
@@ -86,6 +87,12 @@ pub enum Mp4Error {
         /// What.
         what: &'static str,
     },
+}
+
+impl From<Damage> for Mp4Error {
+    fn from(Damage(what): Damage) -> Self {
+        Self::Malformed { what }
+    }
 }
 
 pub(crate) fn malformed(what: impl Into<String>) -> Mp4Error {

@@ -1,10 +1,13 @@
 //! The tables of an MP4 or MOV file (ISO/IEC 14496-12): where each compressed picture lies, and when it is shown.
 //!
-//! Every number is checked where it is read: boxes lie within what holds them, tables within their boxes, pictures within
-//! the file; a count takes memory only when the bytes behind it are there.
+//! Boxes and tables are those of [`handcast_iso`]; here it is checked that pictures lie within the file.
 
 use std::io::{self, Read, Seek, SeekFrom};
 
+use handcast_iso::{
+    Damage, Edit, Head, Places, Runs, all, behind_dates, child, children, edit, entry_boxes, is_of_pictures,
+    needed, number, u16_at, u32_at, u64_at,
+};
 use handcast_limits::{Excess, Limit, Limits};
 
 /// Why a file has no tables.
@@ -21,6 +24,12 @@ pub(super) enum Fault {
 }
 
 type Found<T> = Result<T, Fault>;
+
+impl From<Damage> for Fault {
+    fn from(Damage(what): Damage) -> Self {
+        Self::Malformed(what)
+    }
+}
 
 fn malformed<T>(what: impl Into<String>) -> Found<T> {
     Err(Fault::Malformed(what.into()))
@@ -84,14 +93,13 @@ pub(super) fn read(file: &mut (impl Read + Seek), length: u64, limits: &Limits) 
     let moov = content(file, place)?;
     let mut chosen: Option<Track> = None;
     let mut other = None;
-    for found in children(&moov) {
-        let found = match found {
-            Ok(found) => found,
+    for trak in all(&moov, b"trak") {
+        let trak = match trak {
+            Ok(trak) => trak,
             // What is wrong behind the track is of no matter.
             Err(_) if chosen.is_some() || other.is_some() => break,
-            Err(fault) => return Err(cut.map_or(fault, Fault::Truncated)),
+            Err(damage) => return Err(cut.map_or(damage.into(), Fault::Truncated)),
         };
-        let Some(trak) = found.of(b"trak") else { continue };
         match Track::read(trak, limits, length)? {
             Ok(track) if chosen.as_ref().is_none_or(|before| track.id < before.id) => chosen = Some(track),
             Ok(_) => {}
@@ -116,10 +124,7 @@ pub(super) fn read(file: &mut (impl Read + Seek), length: u64, limits: &Limits) 
         }
     }
     let timescale = match track.edit.is_some() {
-        true => {
-            let mvhd = needed(&moov, b"mvhd")?;
-            number(mvhd, if mvhd.first() == Some(&1) { 20 } else { 12 })?.max(1)
-        }
+        true => behind_dates(needed(&moov, b"mvhd")?)?.max(1),
         false => 1,
     };
     if let (Some(edit), true) = (track.edit, in_whole) {
@@ -145,24 +150,20 @@ fn outer_boxes(
         let mut head = [0u8; 16];
         let wanted = if at + 16 <= length { 16 } else { 8 };
         file.read_exact(head.get_mut(..wanted).unwrap_or_default()).map_err(Fault::Io)?;
-        let [a, b, c, d, kind @ .., e, f, g, h, i, j, k, l] = head;
-        let (header, size) = match u32::from_be_bytes([a, b, c, d]) {
-            0 => (8, length - at),
-            1 => (16, u64::from_be_bytes([e, f, g, h, i, j, k, l])),
-            size => (8, u64::from(size)),
-        };
-        if size < header {
+        let Some(head) = Head::read(&head) else { break };
+        let size = head.size.unwrap_or(length - at);
+        if size < head.header as u64 {
             return malformed(format!("the box at byte {at} says it has {size} bytes"));
         }
         if size > length - at {
             let left = length - at;
-            if &kind == b"moov" {
-                take(&kind, at, left);
+            if &head.kind == b"moov" {
+                take(&head.kind, at, left);
             }
-            let kind = String::from_utf8_lossy(&kind);
+            let kind = head.name();
             return Ok(Some(format!("the box {kind} at byte {at} says {size} bytes; {left} are left")));
         }
-        take(&kind, at, size);
+        take(&head.kind, at, size);
         at += size;
         // What has been read ahead stays: small boxes are many.
         let behind = size.cast_signed().saturating_sub(wanted as i64);
@@ -179,120 +180,9 @@ fn content(file: &mut (impl Read + Seek), (at, size): (u64, u64)) -> Found<Vec<u
         Fault::Malformed(format!("the box at byte {at} has {size} bytes, more than there is memory"))
     })?;
     file.take(size).read_to_end(&mut whole).map_err(Fault::Io)?;
-    let header = if whole.starts_with(&[0, 0, 0, 1]) { 16 } else { 8 };
+    let header = Head::read(&whole).map_or(whole.len(), |head| head.header);
     whole.drain(..header.min(whole.len()));
     Ok(whole)
-}
-
-/// A box inside another.
-#[derive(Clone, Copy)]
-struct Inner<'a> {
-    kind: [u8; 4],
-    content: &'a [u8],
-}
-
-impl<'a> Inner<'a> {
-    fn of(self, kind: &[u8; 4]) -> Option<&'a [u8]> {
-        (&self.kind == kind).then_some(self.content)
-    }
-}
-
-/// The boxes in a box. Only an outermost one may leave its size open, so that each step goes on by eight bytes or more.
-fn children(bytes: &[u8]) -> impl Iterator<Item = Found<Inner<'_>>> {
-    let mut rest = bytes;
-    std::iter::from_fn(move || {
-        if rest.is_empty() {
-            return None;
-        }
-        let found = inner(rest);
-        rest = match &found {
-            Ok((_, behind)) => behind,
-            Err(_) => &[],
-        };
-        Some(found.map(|(inner, _)| inner))
-    })
-}
-
-fn inner(rest: &[u8]) -> Found<(Inner<'_>, &[u8])> {
-    let kind = rest.get(4..8).and_then(|kind| <[u8; 4]>::try_from(kind).ok());
-    let (Some(told), Some(kind)) = (u32_at(rest, 0), kind) else {
-        return malformed("the header of an inner box is cut");
-    };
-    let (header, size) = match told {
-        1 => (16, u64_at(rest, 8).unwrap_or(0)),
-        size => (8, u64::from(size)),
-    };
-    let split =
-        usize::try_from(size).ok().filter(|&size| size >= header).and_then(|s| rest.split_at_checked(s));
-    let Some((whole, behind)) = split else {
-        let name = String::from_utf8_lossy(&kind).into_owned();
-        return malformed(format!("the inner box {name} says it has {size} bytes; {} are left", rest.len()));
-    };
-    Ok((Inner { kind, content: whole.get(header..).unwrap_or_default() }, behind))
-}
-
-/// The content of the first box of a kind, if there is one.
-fn child<'a>(bytes: &'a [u8], kind: &[u8; 4]) -> Found<Option<&'a [u8]>> {
-    children(bytes).find_map(|found| found.map(|inner| inner.of(kind)).transpose()).transpose()
-}
-
-/// The same of a box that must be there.
-fn needed<'a>(bytes: &'a [u8], kind: &[u8; 4]) -> Found<&'a [u8]> {
-    let name = String::from_utf8_lossy(kind).into_owned();
-    child(bytes, kind)?.ok_or_else(|| Fault::Malformed(format!("there is no box {name}")))
-}
-
-fn u16_at(bytes: &[u8], at: usize) -> Option<u16> {
-    Some(u16::from_be_bytes(bytes.get(at..at.checked_add(2)?)?.try_into().ok()?))
-}
-
-fn u32_at(bytes: &[u8], at: usize) -> Option<u32> {
-    Some(u32::from_be_bytes(bytes.get(at..at.checked_add(4)?)?.try_into().ok()?))
-}
-
-fn u64_at(bytes: &[u8], at: usize) -> Option<u64> {
-    Some(u64::from_be_bytes(bytes.get(at..at.checked_add(8)?)?.try_into().ok()?))
-}
-
-/// A number that must be there.
-fn number(bytes: &[u8], at: usize) -> Found<u32> {
-    u32_at(bytes, at).ok_or_else(|| Fault::Malformed("a box is cut".to_owned()))
-}
-
-/// The rows, of `width` bytes each, of a table whose count is at byte 4 of its box and whose rows follow it.
-fn rows<'a>(table: &'a [u8], name: &str, width: usize) -> Found<impl Iterator<Item = &'a [u8]> + use<'a>> {
-    let count = number(table, 4)? as usize;
-    let rows = count.checked_mul(width).and_then(|bytes| table.get(8..)?.get(..bytes));
-    let Some(rows) = rows else {
-        return malformed(format!("the table {name} says {count} entries, more than it has"));
-    };
-    Ok(rows.chunks_exact(width))
-}
-
-/// A value for each of a run of pictures, from rows of a count and a value.
-struct Runs<'a, I: Iterator<Item = &'a [u8]>> {
-    rows: I,
-    left: u32,
-    value: u32,
-}
-
-impl<'a, I: Iterator<Item = &'a [u8]>> Runs<'a, I> {
-    fn new(rows: I) -> Self {
-        Self { rows, left: 0, value: 0 }
-    }
-}
-
-impl<'a, I: Iterator<Item = &'a [u8]>> Iterator for Runs<'a, I> {
-    type Item = u32;
-
-    fn next(&mut self) -> Option<u32> {
-        while self.left == 0 {
-            let row = self.rows.next()?;
-            (self.left, self.value) = (u32_at(row, 0)?, u32_at(row, 4)?);
-        }
-        self.left -= 1;
-        Some(self.value)
-    }
 }
 
 /// A track with H.264 while its pictures are gathered.
@@ -301,44 +191,9 @@ struct Track {
     movie: Movie,
     /// Where the time of decoding stands behind the last picture, ticks.
     clock: i64,
-    /// The part that is shown, where the track tells one.
+    /// The part that is shown, where the track tells one. Lists of several, which show parts again or in another order, count as
+    /// none: all is shown once.
     edit: Option<Edit>,
-}
-
-/// A part of a track that is shown (8.6.6).
-#[derive(Clone, Copy)]
-struct Edit {
-    /// When it is shown, ticks of the movie.
-    at: u64,
-    /// Where it begins, ticks of the track.
-    start: i64,
-    /// How long it is, ticks of the movie; 0 is to the end.
-    duration: u64,
-}
-
-/// The one part of a track that is shown. Lists of several, which show parts again or in another order, count as none: all
-/// is shown once.
-fn edit(trak: &[u8]) -> Found<Option<Edit>> {
-    let Some(edts) = child(trak, b"edts")? else { return Ok(None) };
-    let Some(elst) = child(edts, b"elst")? else { return Ok(None) };
-    let long = elst.first() == Some(&1);
-    let cut = || Fault::Malformed("the table elst is cut".to_owned());
-    let mut parts = rows(elst, "elst", if long { 20 } else { 12 })?.map(|row| {
-        let (start, duration) = match long {
-            true => (u64_at(row, 8).map(u64::cast_signed), u64_at(row, 0)),
-            false => (u32_at(row, 4).map(|start| start.cast_signed().into()), u32_at(row, 0).map(u64::from)),
-        };
-        start.zip(duration).map(|(start, duration)| Edit { at: 0, start, duration }).ok_or_else(cut)
-    });
-    // One that begins at -1 shows nothing, for a while.
-    let (mut shown, mut at) = (None, 0u64);
-    while let Some(part) = parts.next().transpose()? {
-        if part.start >= 0 && shown.replace(Edit { at, ..part }).is_some() {
-            return Ok(None);
-        }
-        at = at.saturating_add(part.duration);
-    }
-    Ok(shown)
 }
 
 impl Track {
@@ -351,17 +206,14 @@ impl Track {
             return malformed("a track says nothing of its codec");
         };
         if &entry.kind != b"avc1" {
-            let handler = child(mdia, b"hdlr")?.and_then(|hdlr| hdlr.get(8..12));
-            return Ok(Err(codec_name(&entry.kind, handler == Some(b"vide"))));
+            return Ok(Err(codec_name(&entry.kind, is_of_pictures(mdia)?)));
         }
         let (id, matrix) = track_header(needed(trak, b"tkhd")?)?;
-        let mdhd = needed(mdia, b"mdhd")?;
-        let timescale = number(mdhd, if mdhd.first() == Some(&1) { 20 } else { 12 })?;
+        let timescale = behind_dates(needed(mdia, b"mdhd")?)?;
         let size = |at: usize| {
             u16_at(entry.content, at).ok_or_else(|| Fault::Malformed("the entry avc1 is cut".to_owned()))
         };
-        // What stands before the boxes of an entry of pictures (12.1.3).
-        let boxes = entry.content.get(78..).unwrap_or_default();
+        let boxes = entry_boxes(entry.content);
         let avcc = needed(boxes, b"avcC")?;
         let pixel = match child(boxes, b"pasp")? {
             Some(pasp) => Some([number(pasp, 0)?, number(pasp, 4)?]),
@@ -383,7 +235,7 @@ impl Track {
             told: None,
             cut: None,
         };
-        let mut track = Self { id, movie, clock: 0, edit: edit(trak)? };
+        let mut track = Self { id, movie, clock: 0, edit: edit(trak)?.filter(|edit| edit.parts == 1) };
         track.add_table(table, limits, length)?;
         Ok(Ok(track))
     }
@@ -397,30 +249,20 @@ impl Track {
 
     /// The pictures of the table of samples (8.5 to 8.7).
     fn add_table(&mut self, table: &[u8], limits: &Limits, length: u64) -> Found<()> {
-        let sizes = needed(table, b"stsz")?;
-        let (fixed, count) = (number(sizes, 4)?, number(sizes, 8)?);
+        let places = Places::of(table)?;
+        let count = places.samples();
         limits.check(Limit::Pictures, f64::from(count)).map_err(Fault::Excess)?;
-        let listed = sizes.get(12..).unwrap_or_default();
-        if fixed == 0 && (count as usize).checked_mul(4).is_none_or(|bytes| bytes > listed.len()) {
-            return malformed(format!("the table stsz says {count} entries, more than it has"));
+        if places.least() > length {
+            let least = places.least();
+            return Err(Fault::Truncated(format!(
+                "{count} pictures of {least} bytes together lie beyond the end"
+            )));
         }
-        if u64::from(fixed).saturating_mul(count.into()) > length {
-            return Err(Fault::Truncated(format!("{count} pictures of {fixed} bytes lie beyond the end")));
-        }
-        let mut durations = Runs::new(rows(needed(table, b"stts")?, "stts", 8)?);
-        let mut shifts = match child(table, b"ctts")? {
-            Some(ctts) => Some(Runs::new(rows(ctts, "ctts", 8)?)),
-            None => None,
-        };
-        let mut chunks = chunks(table)?;
+        let mut durations = Runs::of(needed(table, b"stts")?, "stts")?;
+        let mut shifts = child(table, b"ctts")?.map(|ctts| Runs::of(ctts, "ctts")).transpose()?;
         self.movie.pictures.reserve_exact(count as usize);
-        let (mut left, mut at) = (0u32, 0u64);
-        for picture in 0..count {
-            while left == 0 {
-                let few = || Fault::Malformed("chunks hold fewer pictures than there are".to_owned());
-                (at, left) = chunks.next().ok_or_else(few)??;
-            }
-            let size = if fixed > 0 { fixed } else { number(listed, picture as usize * 4)? };
+        for place in places {
+            let (at, size) = place?;
             let short =
                 |name| Fault::Malformed(format!("the table {name} is of fewer pictures than there are"));
             let duration = durations.next().ok_or_else(|| short("stts"))?;
@@ -429,8 +271,6 @@ impl Track {
                 None => 0,
             };
             self.add(at, size.into(), shift, duration);
-            at = at.saturating_add(size.into());
-            left -= 1;
         }
         Ok(())
     }
@@ -438,7 +278,7 @@ impl Track {
     /// The pictures of a fragment (8.8) that begins at byte `start` of the file.
     fn add_fragment(&mut self, moof: &[u8], start: u64, defaults: &[Defaults], limits: &Limits) -> Found<()> {
         let mut end = start;
-        for traf in children(moof).filter_map(|found| found.map(|b| b.of(b"traf")).transpose()) {
+        for traf in all(moof, b"traf") {
             let traf = traf?;
             let header = FragmentHeader::read(needed(traf, b"tfhd")?, defaults)?;
             let base = header.base.unwrap_or(if header.from_moof { start } else { end });
@@ -451,7 +291,7 @@ impl Track {
                 self.clock = i64::try_from(time).unwrap_or(i64::MAX);
             }
             end = base;
-            for run in children(traf).filter_map(|found| found.map(|b| b.of(b"trun")).transpose()) {
+            for run in all(traf, b"trun") {
                 end = self.add_run(run?, &header, base, end, limits)?;
             }
         }
@@ -474,7 +314,7 @@ impl Track {
                 return Ok(None);
             }
             place += 4;
-            number(run, place - 4).map(Some)
+            Ok(Some(number(run, place - 4)?))
         };
         let mut at = match next(0x1)? {
             Some(offset) => base.saturating_add_signed(offset.cast_signed().into()),
@@ -503,14 +343,9 @@ impl Track {
 
     /// Pictures before and behind an edit are not shown. A movie has `timescale` ticks a second.
     fn hide_outside(&mut self, edit: Edit, timescale: u32) {
-        let ticks = u128::from(edit.duration) * u128::from(self.movie.timescale);
-        let ticks = ticks.div_ceil(u128::from(timescale));
-        let end = match i64::try_from(ticks) {
-            Ok(ticks @ 1..) => edit.start.saturating_add(ticks),
-            _ => i64::MAX,
-        };
+        let times = edit.shown(self.movie.timescale, timescale);
         for picture in &mut self.movie.pictures {
-            picture.shown = (edit.start..end).contains(&picture.time);
+            picture.shown = times.contains(&picture.time);
         }
     }
 
@@ -552,9 +387,9 @@ impl Track {
 
 /// Number and matrix of a track (8.3.2).
 fn track_header(tkhd: &[u8]) -> Found<(u32, [i32; 4])> {
-    let (id, matrix) = if tkhd.first() == Some(&1) { (20, 52) } else { (12, 40) };
+    let matrix = if tkhd.first() == Some(&1) { 52 } else { 40 };
     let entry = |at: usize| number(tkhd, matrix + at).map(u32::cast_signed);
-    Ok((number(tkhd, id)?, [entry(0)?, entry(4)?, entry(12)?, entry(16)?]))
+    Ok((behind_dates(tkhd)?, [entry(0)?, entry(4)?, entry(12)?, entry(16)?]))
 }
 
 /// What people call a codec; `None` of what is no video.
@@ -567,28 +402,6 @@ fn codec_name(kind: &[u8; 4], is_video: bool) -> Option<String> {
         other if is_video => other.escape_ascii().to_string(),
         _ => return None,
     })
-}
-
-/// Where each chunk begins, and how many pictures it holds (8.7.4, 8.7.5).
-fn chunks(table: &[u8]) -> Found<impl Iterator<Item = Found<(u64, u32)>> + '_> {
-    let (places, name, width) = match (child(table, b"stco")?, child(table, b"co64")?) {
-        (Some(places), _) => (places, "stco", 4),
-        (None, Some(places)) => (places, "co64", 8),
-        (None, None) => return malformed("there is neither a box stco nor co64"),
-    };
-    let places = rows(places, name, width)?;
-    let mut runs = rows(needed(table, b"stsc")?, "stsc", 12)?.peekable();
-    let mut held = None;
-    Ok(places.zip(1u32..).map(move |(place, chunk)| {
-        while let Some(run) = runs.next_if(|run| u32_at(run, 0).is_some_and(|first| first <= chunk)) {
-            held = u32_at(run, 4);
-        }
-        let at = if width == 8 { u64_at(place, 0) } else { u32_at(place, 0).map(u64::from) };
-        match at.zip(held) {
-            Some(found) => Ok(found),
-            None => malformed("the table stsc does not begin with the first chunk"),
-        }
-    }))
 }
 
 /// The box avcC (ISO/IEC 14496-15, 5.3.3.1).
@@ -633,8 +446,7 @@ fn fragment_defaults(moov: &[u8]) -> Found<Vec<Defaults>> {
     let of = |trex: &[u8]| {
         Ok(Defaults { id: number(trex, 4)?, duration: number(trex, 12)?, size: number(trex, 16)? })
     };
-    let boxes = children(mvex).filter_map(|found| found.map(|b| b.of(b"trex")).transpose());
-    boxes.map(|trex| of(trex?)).collect()
+    all(mvex, b"trex").map(|trex| of(trex?)).collect()
 }
 
 /// The box tfhd (8.8.7).

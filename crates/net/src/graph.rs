@@ -9,7 +9,7 @@ use std::ops::Range;
 use pulp::Arch;
 
 use crate::error::{Error, Result};
-use crate::model::{Limits, Model};
+use crate::model::{Model, NetworkLimits};
 use step::Step;
 
 /// Name and sizes of an input or output.
@@ -54,14 +54,14 @@ impl Network {
     /// [`Error::Format`] and [`Error::Graph`] where the file is malformed, [`Error::Unsupported`] where it asks for more
     /// than this crate does, [`Error::Limit`] where it asks for too much.
     pub fn read(bytes: &[u8]) -> Result<Self> {
-        Self::read_within(bytes, &Limits::default())
+        Self::read_within(bytes, &NetworkLimits::default())
     }
 
     /// Reads a `.tflite` file.
     ///
     /// # Errors
     /// As [`Network::read`].
-    pub fn read_within(bytes: &[u8], limits: &Limits) -> Result<Self> {
+    pub fn read_within(bytes: &[u8], limits: &NetworkLimits) -> Result<Self> {
         Self::new(&Model::read(bytes, limits)?, limits)
     }
 
@@ -69,7 +69,7 @@ impl Network {
     ///
     /// # Errors
     /// As [`Network::read`].
-    pub fn new(model: &Model<'_>, limits: &Limits) -> Result<Self> {
+    pub fn new(model: &Model<'_>, limits: &NetworkLimits) -> Result<Self> {
         build::network(model, limits)
     }
 

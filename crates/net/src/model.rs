@@ -14,7 +14,7 @@ const IDENTIFIER: &[u8; 4] = b"TFL3";
 /// What a file may ask for; checked before memory is taken.
 #[derive(Clone, Copy, Debug)]
 #[non_exhaustive]
-pub struct Limits {
+pub struct NetworkLimits {
     /// Tensors, and operators.
     pub parts: u64,
     /// Numbers in one tensor.
@@ -25,13 +25,13 @@ pub struct Limits {
     pub multiplications: u64,
 }
 
-impl Default for Limits {
+impl Default for NetworkLimits {
     fn default() -> Self {
         Self { parts: 10_000, elements: 1 << 23, total_elements: 1 << 25, multiplications: 20_000_000_000 }
     }
 }
 
-impl Limits {
+impl NetworkLimits {
     /// Tensors, and operators.
     pub fn with_parts(mut self, parts: u64) -> Self {
         self.parts = parts;
@@ -281,7 +281,7 @@ impl<'a> Model<'a> {
     ///
     /// # Errors
     /// [`Error::Format`] where an offset, a size or a number is impossible, [`Error::Limit`], [`Error::Unsupported`].
-    pub fn read(bytes: &'a [u8], limits: &Limits) -> Result<Self> {
+    pub fn read(bytes: &'a [u8], limits: &NetworkLimits) -> Result<Self> {
         let root = Table::root(bytes, IDENTIFIER)?;
         let version = root.unsigned(0, 0)?;
         if version != 3 {
@@ -317,10 +317,10 @@ fn index(number: i32, count: usize) -> Option<usize> {
     usize::try_from(number).ok().filter(|&n| n < count)
 }
 
-fn read_tensors<'a>(root: Table<'a>, graph: Table<'a>, limits: &Limits) -> Result<Vec<Tensor<'a>>> {
+fn read_tensors<'a>(root: Table<'a>, graph: Table<'a>, limits: &NetworkLimits) -> Result<Vec<Tensor<'a>>> {
     let buffers = root.tables(4, "buffers")?;
     let tables = graph.tables(0, "tensors")?;
-    Limits::check("tensors", tables.len() as u64, limits.parts)?;
+    NetworkLimits::check("tensors", tables.len() as u64, limits.parts)?;
     let mut weights = 0;
     let mut tensors = Vec::with_capacity(tables.len());
     for table in tables.iter("tensor") {
@@ -339,12 +339,12 @@ fn read_tensors<'a>(root: Table<'a>, graph: Table<'a>, limits: &Limits) -> Resul
             })
             .collect::<Result<Vec<usize>>>()?;
         let elements = shape.iter().fold(1u64, |n, &size| n.saturating_mul(size as u64));
-        Limits::check("numbers in a tensor", elements, limits.elements)?;
+        NetworkLimits::check("numbers in a tensor", elements, limits.elements)?;
         let kind = Kind::new(table.byte(1, 0)?);
         let data =
             read_data(table, name, buffers.get(table.unsigned(2, 0)? as usize, "buffer")?, kind, elements)?;
         weights += if data.is_some() { elements } else { 0 };
-        Limits::check("weights", weights, limits.total_elements)?;
+        NetworkLimits::check("weights", weights, limits.total_elements)?;
         tensors.push(Tensor { name, shape, kind, data });
     }
     Ok(tensors)
@@ -381,11 +381,11 @@ fn read_operators(
     root: Table<'_>,
     graph: Table<'_>,
     tensors: usize,
-    limits: &Limits,
+    limits: &NetworkLimits,
 ) -> Result<Vec<Operator>> {
     let codes = root.tables(1, "operator codes")?;
     let tables = graph.tables(3, "operators")?;
-    Limits::check("operators", tables.len() as u64, limits.parts)?;
+    NetworkLimits::check("operators", tables.len() as u64, limits.parts)?;
     let mut operators = Vec::with_capacity(tables.len());
     for (number, table) in tables.iter("operator").enumerate() {
         let table = table?;

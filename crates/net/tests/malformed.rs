@@ -2,7 +2,7 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use handcast_net::model::{Activation, Limits, Operation, Padding, Sliding};
+use handcast_net::model::{Activation, NetworkLimits, Operation, Padding, Sliding};
 use handcast_net::testing::Writer;
 use handcast_net::{Error, Network};
 
@@ -60,8 +60,10 @@ fn mutations() -> usize {
 #[test]
 fn damaged_files_give_errors_or_run() {
     let whole = everything();
-    let limits =
-        Limits::default().with_elements(1 << 12).with_total_elements(1 << 14).with_multiplications(1 << 20);
+    let limits = NetworkLimits::default()
+        .with_elements(1 << 12)
+        .with_total_elements(1 << 14)
+        .with_multiplications(1 << 20);
     assert!(Network::read_within(&whole, &limits).is_ok());
     let mut random = Random(1);
     let (mut failed, mut ran) = (0, 0);

@@ -7,7 +7,6 @@ use handcast::codec::encode_bridged;
 use handcast::codec::mapping::Profile;
 use handcast::formats::motion::{Format, Motion, WriteOptions, at_even_times, even_rate};
 use handcast::gltf::{ExportOptions, Skins};
-use handcast::hand::MAX_GAP;
 use handcast::{DecoderOptions, PlanOptions, decode_poses};
 use handcast_limits::Limits;
 use pyo3::prelude::*;

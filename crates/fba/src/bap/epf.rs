@@ -7,7 +7,7 @@ use thiserror::Error;
 use super::{BAP_COUNT, BapMask, GROUPS, group_members};
 
 /// Limits of all BAPs in base steps, by BAP index.
-pub type Limits = [i32; BAP_COUNT];
+pub type BapLimits = [i32; BAP_COUNT];
 
 /// What one plane is to be: the tags from one `FBM` to the next.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -31,7 +31,7 @@ pub struct EpfFrame {
     /// Quantiser index.
     pub quant: Option<u8>,
     /// New limits in base steps: I max, I min, P max, P min.
-    pub limits: [Option<Box<Limits>>; 4],
+    pub limits: [Option<Box<BapLimits>>; 4],
     /// Suggested gender: true is male.
     pub male: Option<bool>,
     /// Whether DCT coding is asked for.
@@ -235,7 +235,7 @@ fn fap_masks(words: &mut Words<'_>) -> Result<(), EpfError> {
     Ok(())
 }
 
-fn limits(words: &mut Words<'_>) -> Result<Box<Limits>, EpfError> {
+fn limits(words: &mut Words<'_>) -> Result<Box<BapLimits>, EpfError> {
     let mut limits = Box::new([0; BAP_COUNT]);
     for limit in limits.iter_mut() {
         *limit = words.number(-MAX_LIMIT, MAX_LIMIT)? as i32;

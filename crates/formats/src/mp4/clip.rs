@@ -1,13 +1,17 @@
 //! A clip whose tracks come along: its media are copied as they are, and its tables say where they are now.
 
-use super::boxes::{Box4, Boxes, Out, u32_at, u64_at};
+use handcast_iso::{
+    MediaBox, all, behind_dates, child, children, needed, outermost, rows, u32_at, u64_at, unsigned,
+};
+
+use super::boxes::Out;
 use super::{Mp4Error, malformed};
 
 /// An MP4 file, as far as it is kept.
 pub struct Clip<'a> {
     moov: &'a [u8],
     /// Media boxes, header included, and where they begin in the file.
-    media: Vec<Box4<'a>>,
+    media: Vec<MediaBox<'a>>,
     /// Ticks a second of the movie.
     pub timescale: u32,
     /// Number of a track that it does not have.
@@ -28,7 +32,7 @@ impl<'a> Clip<'a> {
             return Err(Mp4Error::Unsupported { what: "a clip that has a stream already is" });
         }
         let (mut moov, mut media) = (None, Vec::new());
-        for found in Boxes::new(file) {
+        for found in outermost(file) {
             let found = found?;
             match &found.kind {
                 // Readers take the first.
@@ -39,20 +43,14 @@ impl<'a> Clip<'a> {
             }
         }
         let moov = moov.ok_or_else(|| malformed("the clip has no moov box"))?;
-        let mvhd =
-            Boxes::new(moov).find(b"mvhd")?.ok_or_else(|| malformed("the clip has no mvhd box"))?.content;
-        let wide = mvhd.first() == Some(&1);
-        let whole = mvhd.len() >= if wide { 112 } else { 100 };
-        let timescale = u32_at(mvhd, if wide { 20 } else { 12 }).filter(|&scale| whole && scale > 0);
+        let mvhd = needed(moov, b"mvhd")?;
+        let whole = mvhd.len() >= if mvhd.first() == Some(&1) { 112 } else { 100 };
+        let timescale = behind_dates(mvhd).ok().filter(|&scale| whole && scale > 0);
         let timescale = timescale.ok_or_else(|| malformed("the clip's mvhd box is cut"))?;
         let mut next_track = 1;
-        for track in Boxes::new(moov) {
-            let track = track?;
-            if &track.kind == b"trak"
-                && let Some(header) = Boxes::new(track.content).find(b"tkhd")?
-            {
-                let at = if header.content.first() == Some(&1) { 20 } else { 12 };
-                next_track = next_track.max(u32_at(header.content, at).unwrap_or(0).saturating_add(1));
+        for track in all(moov, b"trak") {
+            if let Some(header) = child(track?, b"tkhd")? {
+                next_track = next_track.max(behind_dates(header).unwrap_or(0).saturating_add(1));
             }
         }
         Ok(Self { moov, media, timescale, next_track })
@@ -82,10 +80,10 @@ impl<'a> Clip<'a> {
     pub fn moov(&self, out: &mut Out, at: u64, duration: u64, track: &[u8]) -> Result<(), Mp4Error> {
         let mut content = Out::default();
         let mut result = Ok(());
-        for found in Boxes::new(self.moov) {
+        for found in children(self.moov) {
             let found = found?;
             match &found.kind {
-                b"mvhd" => content.bytes(&self.mvhd(found.whole, duration)),
+                b"mvhd" => content.of(b"mvhd", |out| out.bytes(&self.mvhd(found.content, duration))),
                 _ => result = result.and(self.moved(found, at, &mut content)),
             }
         }
@@ -97,51 +95,41 @@ impl<'a> Clip<'a> {
     }
 
     /// The movie's header with a duration that the new track fits in, and the number of a further track.
-    fn mvhd(&self, whole: &[u8], duration: u64) -> Vec<u8> {
-        let mut bytes = whole.to_vec();
-        let wide = bytes.get(8) == Some(&1);
-        if wide {
-            let longest = u64_at(&bytes, 32).unwrap_or(0).max(duration);
-            bytes.get_mut(32..40).into_iter().for_each(|slot| slot.copy_from_slice(&longest.to_be_bytes()));
+    fn mvhd(&self, content: &[u8], duration: u64) -> Vec<u8> {
+        let mut bytes = content.to_vec();
+        if bytes.first() == Some(&1) {
+            let longest = u64_at(&bytes, 24).unwrap_or(0).max(duration);
+            bytes.get_mut(24..32).into_iter().for_each(|slot| slot.copy_from_slice(&longest.to_be_bytes()));
         } else {
-            let longest = u64::from(u32_at(&bytes, 24).unwrap_or(0)).max(duration).min(u32::MAX.into());
+            let longest = u64::from(u32_at(&bytes, 16).unwrap_or(0)).max(duration).min(u32::MAX.into());
             let longest = (longest as u32).to_be_bytes();
-            bytes.get_mut(24..28).into_iter().for_each(|slot| slot.copy_from_slice(&longest));
+            bytes.get_mut(16..20).into_iter().for_each(|slot| slot.copy_from_slice(&longest));
         }
-        let length = (bytes.len() as u32).to_be_bytes();
-        if bytes.starts_with(&[0; 4]) {
-            bytes.get_mut(..4).into_iter().for_each(|slot| slot.copy_from_slice(&length));
-        }
-        let (end, next) = (bytes.len(), self.next_track.saturating_add(1).to_be_bytes());
-        bytes.get_mut(end - 4..).into_iter().for_each(|slot| slot.copy_from_slice(&next));
+        let next = self.next_track.saturating_add(1).to_be_bytes();
+        bytes.last_chunk_mut().into_iter().for_each(|slot| *slot = next);
         bytes
     }
 
     /// Copies a box, with the places of chunks as they are now.
-    fn moved(&self, found: Box4<'_>, at: u64, out: &mut Out) -> Result<(), Mp4Error> {
+    fn moved(&self, found: MediaBox<'_>, at: u64, out: &mut Out) -> Result<(), Mp4Error> {
         match &found.kind {
             b"trak" | b"mdia" | b"minf" | b"stbl" => {
                 let mut content = Out::default();
-                for inner in Boxes::new(found.content) {
+                for inner in children(found.content) {
                     self.moved(inner?, at, &mut content)?;
                 }
                 let content = content.into_bytes();
                 out.of(&found.kind, |out| out.bytes(&content));
             }
             b"stco" | b"co64" => {
-                let wide = &found.kind == b"co64";
-                let cut = || malformed("a table of chunks of the clip is cut");
-                let count = u32_at(found.content, 4).ok_or_else(cut)?;
-                let mut places = Out::default();
-                for chunk in 0..count as usize {
-                    let old = match wide {
-                        true => u64_at(found.content, 8 + chunk * 8),
-                        false => u32_at(found.content, 8 + chunk * 4).map(u64::from),
-                    };
-                    let new = self.place(old.ok_or_else(cut)?, at)?;
-                    match wide {
-                        true => places.u64(new),
-                        false => places.u32(u32::try_from(new).map_err(|_| Mp4Error::Unsupported {
+                let (name, width) = if &found.kind == b"co64" { ("co64", 8) } else { ("stco", 4) };
+                let chunks = rows(found.content, name, width)?;
+                let (count, mut places) = (chunks.len() as u32, Out::default());
+                for chunk in chunks {
+                    let new = self.place(unsigned(chunk), at)?;
+                    match width {
+                        8 => places.u64(new),
+                        _ => places.u32(u32::try_from(new).map_err(|_| Mp4Error::Unsupported {
                             what: "a clip of more than 4 GiB with a table of 32 bits is",
                         })?),
                     }
@@ -152,8 +140,6 @@ impl<'a> Clip<'a> {
                     out.bytes(&places);
                 });
             }
-            // One that goes on to the end of what holds it is followed by others now.
-            _ if u32_at(found.whole, 0) == Some(0) => out.of(&found.kind, |out| out.bytes(found.content)),
             _ => out.bytes(found.whole),
         }
         Ok(())

@@ -1,8 +1,11 @@
 //! A stream taken out of an MP4 file.
 
 use handcast_fba::syntax::{OBJECT_START, OLD_OBJECT_START};
+use handcast_iso::{
+    Found, Places, all, behind_dates, child, entry_boxes, is_of_pictures, outermost, path, u32_at, u64_at,
+};
 
-use super::boxes::{Boxes, TAGS, VISUAL, u32_at, u64_at};
+use super::boxes::{TAGS, VISUAL};
 use super::{Mp4Error, malformed, shown};
 
 /// The FBA stream of the first track that holds one; `None` where none does, or the bytes are no MP4 file.
@@ -13,17 +16,18 @@ pub fn stream_in(file: &[u8]) -> Result<Option<Vec<u8>>, Mp4Error> {
     if !super::is_mp4(file) {
         return Ok(None);
     }
-    let Some(moov) = Boxes::new(file).find(b"moov")? else { return Ok(None) };
-    for track in Boxes::new(moov.content) {
-        let track = track?;
-        if &track.kind != b"trak" {
-            continue;
-        }
-        if let Some(stream) = stream_of(track.content, file)? {
+    let Some(moov) = movie(file)? else { return Ok(None) };
+    for track in all(moov, b"trak") {
+        if let Some(stream) = stream_of(track?, file)? {
             return Ok(Some(stream));
         }
     }
     Ok(None)
+}
+
+/// What is in the first box `moov` of a file.
+fn movie(file: &[u8]) -> Found<Option<&[u8]>> {
+    outermost(file).find_map(|found| found.map(|outer| outer.of(b"moov")).transpose()).transpose()
 }
 
 /// Seconds from the beginning of an MP4 file to that of its stream, by the edit list of the track (8.6.6) and the times of its
@@ -34,13 +38,13 @@ pub fn starts_at(file: &[u8]) -> f64 {
 
 /// Seconds from the beginning of an MP4 file to its first pictures, likewise.
 pub fn pictures_start_at(file: &[u8]) -> f64 {
-    starts(file, is_of_pictures)
+    starts(file, shows_pictures)
 }
 
 /// Seconds from the beginning of an MP4 file to the end of its first pictures, as the track says (8.3.2); none where it does not,
 /// and of any other file.
 pub fn pictures_end_at(file: &[u8]) -> Option<f64> {
-    let (track, scale) = first_track(file, is_of_pictures)?;
+    let (track, scale) = first_track(file, shows_pictures)?;
     let head = path(track, &[b"tkhd"]).ok().flatten()?;
     let ticks = match head.first() {
         Some(1) => u64_at(head, 28).filter(|&ticks| ticks != u64::MAX)?,
@@ -52,22 +56,16 @@ pub fn pictures_end_at(file: &[u8]) -> Option<f64> {
 }
 
 /// Whether a track shows pictures.
-fn is_of_pictures(track: &[u8]) -> bool {
-    let handler = path(track, &[b"mdia", b"hdlr"]).ok().flatten();
-    handler.and_then(|handler| handler.get(8..12)) == Some(b"vide")
-}
-
-/// Ticks a second, as the header of a movie or of a track's media says.
-pub fn time_scale(header: &[u8]) -> Option<u32> {
-    u32_at(header, if header.first() == Some(&1) { 20 } else { 12 }).filter(|&scale| scale > 0)
+fn shows_pictures(track: &[u8]) -> bool {
+    child(track, b"mdia").ok().flatten().is_some_and(|mdia| is_of_pictures(mdia) == Ok(true))
 }
 
 /// The first track of an MP4 file that is `wanted`, and the ticks a second of the movie.
 fn first_track(file: &[u8], wanted: impl Fn(&[u8]) -> bool) -> Option<(&[u8], u32)> {
-    let moov = Boxes::new(file).find(b"moov").ok().flatten().filter(|_| super::is_mp4(file))?;
-    let mut tracks = Boxes::new(moov.content).flatten().filter(|found| &found.kind == b"trak");
-    let track = tracks.find(|track| wanted(track.content))?;
-    Some((track.content, time_scale(path(moov.content, &[b"mvhd"]).ok()??)?))
+    let moov = movie(file).ok().flatten().filter(|_| super::is_mp4(file))?;
+    let track = all(moov, b"trak").flatten().find(|track| wanted(track))?;
+    let scale = behind_dates(child(moov, b"mvhd").ok().flatten()?).ok()?;
+    (scale > 0).then_some((track, scale))
 }
 
 /// Seconds before the first of the tracks that are `wanted` shows anything.
@@ -77,19 +75,9 @@ fn starts(file: &[u8], wanted: impl Fn(&[u8]) -> bool) -> f64 {
 
 /// Whether a file is an MP4 file whose only track is an FBA stream.
 pub fn is_stream_alone(file: &[u8]) -> bool {
-    let tracks = |moov: &[u8]| Boxes::new(moov).flatten().filter(|found| &found.kind == b"trak").count();
-    let moov = Boxes::new(file).find(b"moov").ok().flatten();
-    moov.is_some_and(|moov| tracks(moov.content) == 1) && matches!(stream_in(file), Ok(Some(_)))
-}
-
-/// The content of a box along a path.
-pub fn path<'a>(bytes: &'a [u8], kinds: &[&[u8; 4]]) -> Result<Option<&'a [u8]>, Mp4Error> {
-    let mut here = bytes;
-    for kind in kinds {
-        let Some(found) = Boxes::new(here).find(kind)? else { return Ok(None) };
-        here = found.content;
-    }
-    Ok(Some(here))
+    let moov = movie(file).ok().flatten();
+    moov.is_some_and(|moov| all(moov, b"trak").flatten().count() == 1)
+        && matches!(stream_in(file), Ok(Some(_)))
 }
 
 /// The stream of a track, if it is one of FBA.
@@ -111,15 +99,10 @@ struct Fba<'a> {
 /// A track, if it is one of FBA.
 fn fba_in(track: &[u8]) -> Result<Option<Fba<'_>>, Mp4Error> {
     let Some(table) = path(track, &[b"mdia", b"minf", b"stbl"])? else { return Ok(None) };
-    let Some(entries) = Boxes::new(table).find(b"stsd")? else { return Ok(None) };
-    let Some(entry) = Boxes::new(entries.content.get(8..).unwrap_or_default()).find(b"mp4v")? else {
-        return Ok(None);
-    };
-    // What stands before the boxes of an entry of pictures.
-    let Some(esds) = Boxes::new(entry.content.get(78..).unwrap_or_default()).find(b"esds")? else {
-        return Ok(None);
-    };
-    let Some(header) = specific_info(esds.content.get(4..).unwrap_or_default()) else { return Ok(None) };
+    let entries = child(table, b"stsd")?.and_then(|entries| entries.get(8..)).unwrap_or_default();
+    let Some(entry) = child(entries, b"mp4v")? else { return Ok(None) };
+    let Some(esds) = child(entry_boxes(entry), b"esds")? else { return Ok(None) };
+    let Some(header) = specific_info(esds.get(4..).unwrap_or_default()) else { return Ok(None) };
     // Headers of pictures have no object start code of FBA.
     let is_fba = header.windows(4).any(|window| window == OBJECT_START.to_be_bytes());
     if !is_fba && header != OLD_OBJECT_START.to_be_bytes() {
@@ -159,55 +142,14 @@ fn descriptor(bytes: &[u8], tag: u8) -> Option<(&[u8], &[u8])> {
 
 /// Appends all samples of a track.
 fn samples(table: &[u8], file: &[u8], out: &mut Vec<u8>) -> Result<(), Mp4Error> {
-    let content = |kind: &[u8; 4]| -> Result<Option<&[u8]>, Mp4Error> {
-        Ok(Boxes::new(table).find(kind)?.and_then(|found| found.content.get(4..)))
-    };
-    let missing = || malformed("the track of the stream has no table of samples");
-    let sizes = content(b"stsz")?.ok_or_else(missing)?;
-    let runs = content(b"stsc")?.ok_or_else(missing)?;
-    let (chunks, wide) = match (content(b"stco")?, content(b"co64")?) {
-        (Some(chunks), _) => (chunks, false),
-        (_, Some(chunks)) => (chunks, true),
-        _ => return Err(missing()),
-    };
-    let number =
-        |bytes: &[u8], at: usize| u32_at(bytes, at).ok_or_else(|| malformed("a table of samples is cut"));
-    let (fixed, count) = (number(sizes, 0)?, number(sizes, 4)?);
-    let mut sample = 0u32;
-    for chunk in 0..number(chunks, 0)? {
-        let place = 4 + chunk as usize * if wide { 8 } else { 4 };
-        let offset = if wide { u64_at(chunks, place) } else { u32_at(chunks, place).map(u64::from) };
-        let mut at = offset.ok_or_else(|| malformed("a table of samples is cut"))?;
-        for _ in 0..samples_in(runs, chunk)? {
-            if sample == count {
-                return Ok(());
-            }
-            let length = if fixed > 0 { fixed } else { number(sizes, 8 + sample as usize * 4)? };
-            let lies = usize::try_from(at).ok().and_then(|at| file.get(at..)?.get(..length as usize));
-            let outside = || malformed(format!("sample {} lies outside of the file", sample + 1));
-            out.extend_from_slice(lies.ok_or_else(outside)?);
-            if out.len() > file.len() {
-                return Err(malformed("samples of the stream lie over one another"));
-            }
-            at += u64::from(length);
-            sample += 1;
+    for (number, place) in Places::of(table)?.enumerate() {
+        let (at, length) = place?;
+        let lies = usize::try_from(at).ok().and_then(|at| file.get(at..)?.get(..length as usize));
+        let outside = || malformed(format!("sample {} lies outside of the file", number + 1));
+        out.extend_from_slice(lies.ok_or_else(outside)?);
+        if out.len() > file.len() {
+            return Err(malformed("samples of the stream lie over one another"));
         }
     }
-    if sample == count { Ok(()) } else { Err(malformed("chunks hold fewer samples than there are")) }
-}
-
-/// Samples in a chunk, counted from 0: the last run that begins before it says.
-fn samples_in(runs: &[u8], chunk: u32) -> Result<u32, Mp4Error> {
-    let cut = || malformed("a table of samples is cut");
-    let count = u32_at(runs, 0).ok_or_else(cut)? as usize;
-    let entries = runs.get(4..).and_then(|rest| rest.get(..count.checked_mul(12)?)).ok_or_else(cut)?;
-    let begins = |at: usize| u32_at(entries, at * 12).unwrap_or(0);
-    // Runs are in order.
-    let (mut low, mut high) = (0, count);
-    while low < high {
-        let middle = usize::midpoint(low, high);
-        if begins(middle) <= chunk + 1 { low = middle + 1 } else { high = middle }
-    }
-    let run = low.checked_sub(1).ok_or_else(cut)?;
-    u32_at(entries, run * 12 + 4).ok_or_else(cut)
+    Ok(())
 }

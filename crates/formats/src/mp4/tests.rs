@@ -1,9 +1,9 @@
-use super::boxes::Boxes;
 use super::*;
 use handcast_codec::encode_poses;
 use handcast_codec::mapping::Profile;
 use handcast_fba::plan::PlanOptions;
 use handcast_hand::{HandPose, JointAngle, PoseClip, PoseHeader, Side, TimedPose};
+use handcast_iso::{all, needed, path, u32_at, u64_at};
 use proptest::prelude::*;
 
 fn stream(resync: bool, wrapper: Option<u8>) -> Vec<u8> {
@@ -109,26 +109,24 @@ fn the_tracks_of_a_clip_come_along_untouched() {
         let clip = clip(wide, open);
         let file = mux(&stream, &MuxOptions::default().with_clip(Some(clip))).unwrap();
         assert_eq!(stream_in(&file).unwrap().unwrap(), stream);
-        let moov = Boxes::new(&file).find(b"moov").unwrap().unwrap();
-        assert_eq!(Boxes::new(moov.content).find(b"udta").unwrap().unwrap().content, b"kept");
-        let tracks: Vec<_> =
-            Boxes::new(moov.content).map(Result::unwrap).filter(|b| &b.kind == b"trak").collect();
+        let outer = handcast_iso::outermost(&file).map(Result::unwrap);
+        let moov = outer.filter_map(|found| found.of(b"moov")).next().unwrap();
+        assert_eq!(needed(moov, b"udta").unwrap(), b"kept");
+        let tracks: Vec<_> = all(moov, b"trak").map(Result::unwrap).collect();
         assert_eq!(tracks.len(), 2);
-        let mut table = tracks[0].content;
-        for kind in [b"mdia", b"minf", b"stbl", if wide { b"co64" } else { b"stco" }] {
-            table = Boxes::new(table).find(kind).unwrap().unwrap().content;
-        }
+        let kind = if wide { b"co64" } else { b"stco" };
+        let table = path(tracks[0], &[b"mdia", b"minf", b"stbl", kind]).unwrap().unwrap();
         for (chunk, expected) in [&b"first"[..], b"second"].into_iter().enumerate() {
             let at = match wide {
-                true => boxes::u64_at(table, 8 + chunk * 8).unwrap() as usize,
-                false => boxes::u32_at(table, 8 + chunk * 4).unwrap() as usize,
+                true => u64_at(table, 8 + chunk * 8).unwrap() as usize,
+                false => u32_at(table, 8 + chunk * 4).unwrap() as usize,
             };
             assert_eq!(&file[at..at + expected.len()], expected);
         }
         // Ticks of the clip's movie; 4 s are longer than its 2.
-        let mvhd = Boxes::new(moov.content).find(b"mvhd").unwrap().unwrap().content;
+        let mvhd = needed(moov, b"mvhd").unwrap();
         let late = if wide { 900 } else { 0 };
-        assert_eq!(boxes::u32_at(mvhd, 16), Some(2400 + late));
+        assert_eq!(u32_at(mvhd, 16), Some(2400 + late));
         assert!((starts_at(&file) - f64::from(late) / 600.0).abs() < 1e-9, "{}", starts_at(&file));
         assert!(mvhd.ends_with(&9u32.to_be_bytes()));
     }
@@ -210,7 +208,7 @@ fn what_is_no_stream_or_clip_is_refused() {
     };
     assert!(refused(b"words").contains("no MP4 file"));
     let sound = clip(false, false);
-    assert!(refused(&sound[..sound.len() - 9]).contains("is cut"));
+    assert!(refused(&sound[..sound.len() - 9]).contains("bytes; "));
     let mut fragments = sound.clone();
     fragments[20..24].copy_from_slice(b"moof");
     assert!(refused(&fragments).contains("fragments"));

@@ -123,20 +123,12 @@ fn tables_that_say_more_than_there_is_are_refused() {
     let cases = [
         (Tables { stsz: table(b"stsz", &[1, 100_000_000]), ..five() }, "pictures, allowed at most"),
         (Tables { stsz: table(b"stsz", &[1000, 400_000]), ..five() }, "lie beyond the end"),
-        (Tables { stsz: table(b"stsz", &[0, 400_000, 1]), ..five() }, "stsz says 400000 entries"),
-        (Tables { stsz: table(b"stsz", &[10]), ..five() }, "cut"),
         (Tables { stts: table(b"stts", &[u32::MAX, 1, 1]), ..five() }, "stts says 4294967295 entries"),
         (Tables { stts: table(b"stts", &[3, 0, 1, 0, 1, 4, 1]), ..five() }, "stts is of fewer pictures"),
         (Tables { ctts: table(b"ctts", &[1, 4, 0]), ..five() }, "ctts is of fewer pictures"),
-        (Tables { stsc: table(b"stsc", &[1, 2, 3, 1]), ..five() }, "first chunk"),
-        (Tables { stsc: table(b"stsc", &[1, 0, 0, 1]), ..five() }, "chunks hold fewer"),
-        (Tables { stco: table(b"stco", &[1, 100]), ..five() }, "chunks hold fewer"),
         (Tables { stco: table(b"stco", &[2, u32::MAX, 100]), ..five() }, "frame 0 of 5 lies beyond"),
-        (Tables { stco: Vec::new(), ..five() }, "neither a box stco nor co64"),
         (Tables { stco: table(b"co64", &[2, u32::MAX, u32::MAX, u32::MAX, u32::MAX]), ..five() }, "beyond"),
         (Tables { stsz: words(&[0, 0x7374_737a]), ..five() }, "the inner box stsz says it has 0 bytes"),
-        (Tables { stts: words(&[1, 0x7374_7473, 0, 0]), ..five() }, "the inner box stts says it has 0 bytes"),
-        (Tables { more: words(&[7, 0x6162_6364]), ..five() }, "the inner box abcd says it has 7 bytes"),
     ];
     for (i, (tables, words)) in cases.iter().enumerate() {
         let fault = tables.read().unwrap_err();
@@ -195,8 +187,4 @@ fn an_edit_list_hides_what_is_before_and_behind_it() {
     let start = |parts: &[[u32; 3]]| read_all(&edited(parts)).unwrap().start;
     assert_eq!(start(&[[0, 0, rate]]), 0.0);
     assert_eq!(start(&[[50, u32::MAX, rate], [25, u32::MAX, rate], [0, 2, rate]]), 1.5);
-    let mut cut = edited(&[[0, 2, rate]]);
-    let at = cut.windows(4).position(|kind| kind == b"elst").unwrap();
-    cut[at + 11] = 9;
-    assert!(matches!(read_all(&cut), Err(Fault::Malformed(what)) if what.contains("elst")));
 }

@@ -8,7 +8,7 @@ use zip::ZipArchive;
 
 use super::{MAX_BYTES, NetFile};
 use crate::error::{Error, Result};
-use crate::model::Limits;
+use crate::model::NetworkLimits;
 
 /// Folders are searched this deep, and this many files at most are looked at.
 const DEPTH: usize = 6;
@@ -126,7 +126,7 @@ impl Found {
     /// Counts what is about to be read.
     fn count(&mut self) -> Result<()> {
         self.read += 1;
-        Limits::check("networks in one place", self.read as u64, MAX_READ as u64)
+        NetworkLimits::check("networks in one place", self.read as u64, MAX_READ as u64)
     }
 
     fn note(&mut self, result: Result<()>) {
@@ -233,7 +233,7 @@ fn begins(path: &Path) -> Result<Vec<u8>> {
 fn limited(source: impl Read, path: &Path) -> Result<Vec<u8>> {
     let mut bytes = Vec::new();
     source.take(MAX_BYTES + 1).read_to_end(&mut bytes).map_err(io(path))?;
-    Limits::check("bytes of a file", bytes.len() as u64, MAX_BYTES)?;
+    NetworkLimits::check("bytes of a file", bytes.len() as u64, MAX_BYTES)?;
     Ok(bytes)
 }
 

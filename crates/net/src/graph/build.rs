@@ -10,7 +10,7 @@ use super::step::{Step, Work};
 use super::{Network, Port};
 use crate::error::{Error, Result};
 use crate::kernels::{Depthwise, Finish, Gemm, Picture, Resize, Window};
-use crate::model::{Activation, Kind, Limits, Model, Operation, Operator, Padding, Sliding};
+use crate::model::{Activation, Kind, Model, NetworkLimits, Operation, Operator, Padding, Sliding};
 
 /// Registers of the widest processors hold so many floats: weights are padded to this at most.
 const LANES: usize = 16;
@@ -19,7 +19,7 @@ const LANES: usize = 16;
 const JOIN: usize = 96 << 10;
 
 /// Prepares a network.
-pub(super) fn network(model: &Model<'_>, limits: &Limits) -> Result<Network> {
+pub(super) fn network(model: &Model<'_>, limits: &NetworkLimits) -> Result<Network> {
     let mut builder = Builder::new(model, *limits);
     builder.read()?;
     builder.join_additions();
@@ -91,7 +91,7 @@ struct Draft {
 
 struct Builder<'m, 'a> {
     model: &'m Model<'a>,
-    limits: Limits,
+    limits: NetworkLimits,
     drafts: Vec<Option<Draft>>,
     /// For each tensor the one whose memory it shares, once it is known.
     values: Vec<Option<usize>>,
@@ -102,7 +102,7 @@ struct Builder<'m, 'a> {
 }
 
 impl<'m, 'a> Builder<'m, 'a> {
-    fn new(model: &'m Model<'a>, limits: Limits) -> Self {
+    fn new(model: &'m Model<'a>, limits: NetworkLimits) -> Self {
         let constants = model.tensors.iter().enumerate().map(|(i, tensor)| tensor.data.map(|_| i)).collect();
         Self {
             model,
@@ -239,9 +239,9 @@ impl<'m, 'a> Builder<'m, 'a> {
     fn costs(&mut self, multiplications: [usize; 2], weights: [usize; 2]) -> Result<()> {
         let product = |[a, b]: [usize; 2]| (a as u64).saturating_mul(b as u64);
         self.multiplications = self.multiplications.saturating_add(product(multiplications));
-        Limits::check("multiplications", self.multiplications, self.limits.multiplications)?;
+        NetworkLimits::check("multiplications", self.multiplications, self.limits.multiplications)?;
         self.weights = self.weights.saturating_add(product(weights));
-        Limits::check("packed weights", self.weights, self.limits.total_elements)
+        NetworkLimits::check("packed weights", self.weights, self.limits.total_elements)
     }
 
     fn operator(&mut self, operator: &Operator) -> Result<()> {
@@ -604,7 +604,7 @@ impl<'m, 'a> Builder<'m, 'a> {
         let arch = Arch::new();
         let drafts: Vec<Draft> = self.drafts.into_iter().flatten().collect();
         let (places, total) = memory_plan(self.model, &self.values, &drafts);
-        Limits::check("intermediate results", total as u64, self.limits.total_elements)?;
+        NetworkLimits::check("intermediate results", total as u64, self.limits.total_elements)?;
         let place = |value: usize| places[value].clone();
         let mut steps = Vec::with_capacity(drafts.len());
         for draft in drafts {
@@ -624,7 +624,7 @@ impl<'m, 'a> Builder<'m, 'a> {
             steps.push(Step { work, input, other, output });
         }
         let scratch = steps.iter().map(Step::scratch).max().unwrap_or(0);
-        Limits::check("rows between steps", scratch as u64, self.limits.total_elements)?;
+        NetworkLimits::check("rows between steps", scratch as u64, self.limits.total_elements)?;
         let ports = |tensors: &[usize]| {
             tensors
                 .iter()
