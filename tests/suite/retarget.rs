@@ -947,6 +947,31 @@ fn tolerances_are_metres_of_the_world_at_any_scale() {
 }
 
 #[test]
+fn wrists_move_in_the_unit_that_the_rig_is_made_in() {
+    let clip = clip(&[Side::Right], 60);
+    let rig = own_rig(&[Side::Right], JointNames::WebXr);
+    for (unit, word) in [(0.01, "0.01 m"), (0.001, "0.001 m")] {
+        let scale = 1.0 / unit;
+        let scaled = changed(&rig, |json| {
+            put_above(json, &[0], json!({ "name": "Armature", "scale": [scale, scale, scale] }));
+        });
+        let moved = put(&clip, &scaled);
+        assert!(moved.notes.len() == 1 && moved.notes[0].contains(word), "{:?}", moved.notes);
+        for (time, pose) in &clip.hands[0].poses {
+            // Below the scale.
+            let at = world_transforms(&moved.glb, *time)["wrist"].translation.vector;
+            assert!((at * (scale * unit) - pose.translation).norm() < 1e-5, "{unit}: {at}");
+        }
+        for glb in [moved.glb.clone(), stripped(&moved.glb)] {
+            let theirs = &read(&glb).hands[0].poses;
+            for ((_, ours), (_, theirs)) in clip.hands[0].poses.iter().zip(theirs) {
+                assert!((ours.translation - theirs.translation).norm() < 1e-5, "{unit}");
+            }
+        }
+    }
+}
+
+#[test]
 fn joints_that_carry_the_mesh_come_before_controls() {
     let clip = clip(&[Side::Right], 10);
     let rig = own_rig(&[Side::Right], JointNames::Mixamo);

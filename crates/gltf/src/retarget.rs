@@ -252,16 +252,23 @@ pub fn retarget(
     let mut writer = Writer::new(String::new());
     let mut channels = Channels::new(options);
     let mut facts = facts(clip, &sides, options);
-    let (mut moved, mut lacking) = (Vec::new(), Vec::new());
+    let (mut moved, mut lacking, mut units) = (Vec::new(), Vec::new(), Vec::new());
     for (number, (track, side)) in clip.hands.iter().zip(&sides).enumerate() {
         let Some(hand) = hands.iter().find(|h| h.side == *side) else { continue };
         let skeleton = Skeleton::new(&track.morphology, *side);
         let times: Vec<f64> = track.poses.iter().map(|(t, _)| *t).collect();
         let frames = track.poses.iter().map(|(_, pose)| skeleton.frames(pose));
-        let tracks = local_tracks(&document, hand, &hand.bind(&document, &track.morphology)?, frames);
+        let bind = hand.bind(&document, &track.morphology)?;
+        let metres = hand.sizes(&document, &bind).unit();
+        if metres != 1.0 && hand.arm.is_none() {
+            let side = side.name();
+            units
+                .push(format!("the {side} hand is made in units of {metres} m, and its wrist moves in them"));
+        }
+        let tracks = local_tracks(&document, hand, (&bind, metres), frames);
         let before = channels.len();
         for (node, keys) in &tracks {
-            push_track(&mut channels, &mut writer, &mut document, *node, &times, keys);
+            push_track(&mut channels, &mut writer, (&mut document, metres), *node, &times, keys);
         }
         // Without any track the motion would lose its duration.
         if let (Some((node, keys)), true) = (tracks.first(), channels.len() == before) {
@@ -279,7 +286,8 @@ pub fn retarget(
         return Err(RigError::Sides { rig: rig.name(), motion: motion.name() }.into());
     }
     writer.root.push(channels.finish());
-    let (notes, sides) = (notes(&document, &moved, found), moved.iter().map(|hand| hand.side).collect());
+    let (mut notes, sides) = (notes(&document, &moved, found), moved.iter().map(|hand| hand.side).collect());
+    notes.extend(units);
     let RigDocument { mut json, mut bytes, .. } = document;
     spare::drop_animations(&mut json, &mut bytes);
     describe(&mut json, facts);
@@ -307,7 +315,7 @@ fn lacks(hand: &RigHand, track: &HandTrack) -> Option<String> {
 fn local_tracks(
     document: &RigDocument,
     hand: &RigHand,
-    bind: &hand::Bind,
+    (bind, metres): (&hand::Bind, f64),
     frames: impl Iterator<Item = handcast_hand::HandFrames>,
 ) -> Vec<(usize, Vec<Similarity3<f64>>)> {
     let moved: Vec<usize> = hand.nodes().map(|(_, node)| node).collect();
@@ -322,7 +330,7 @@ fn local_tracks(
         .collect();
     let mut world = document.world.clone();
     for frames in frames {
-        let placed = hand.placed(document, bind, &frames);
+        let placed = hand.placed(document, bind, metres, &frames);
         for &(node, slot) in &order {
             let above = document.parents[node].map_or_else(Similarity3::identity, |p| world[p]);
             world[node] = match slot {
@@ -341,7 +349,7 @@ fn local_tracks(
 fn push_track(
     channels: &mut Channels,
     writer: &mut Writer,
-    document: &mut RigDocument,
+    (document, metres): (&mut RigDocument, f64),
     node: usize,
     times: &[f64],
     keys: &[Similarity3<f64>],
@@ -350,7 +358,7 @@ fn push_track(
     let index = Index::new(node as u32);
     let shifts: Vec<Vector3<f64>> = keys.iter().map(|k| k.isometry.translation.vector).collect();
     let turns: Vec<UnitQuaternion<f64>> = keys.iter().map(|k| k.isometry.rotation).collect();
-    // Metres of the world in units of the node above.
+    // A unit of the node above in those of the world.
     let above = document.parents[node].map_or(1.0, |above| document.world[above].scaling());
     let (shift, turn) = (
         moves(&shifts, &rest.isometry.translation.vector, AT_REST / above),
@@ -360,7 +368,7 @@ fn push_track(
         document.make_movable(node);
     }
     if shift {
-        channels.translation(writer, times, &shifts, 1.0 / above, index);
+        channels.translation(writer, times, &shifts, 1.0 / (above * metres), index);
     }
     if turn {
         channels.rotation(writer, times, turns, index);

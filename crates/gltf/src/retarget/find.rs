@@ -10,7 +10,7 @@ use super::hand::RigHand;
 use super::{JointMap, RigError, body};
 use crate::names::{Reading, readings};
 use handcast_hand::landmarks::tell_side;
-use handcast_hand::{Joint, Side};
+use handcast_hand::{Finger, Joint, Morphology, Side};
 use handcast_limits::quoted;
 
 /// How much better one side must fit than the other for the joints' places to tell them apart.
@@ -265,7 +265,12 @@ fn untold_side(document: &RigDocument, group: &Found, map: Option<&JointMap>) ->
     if let Some(right) = back() {
         return Ok(if right > 0.0 { Side::Right } else { Side::Left });
     }
-    let points = std::array::from_fn(|i| position(Joint::ALL[i]).map(Into::into));
+    // Rigs have any unit.
+    let palm =
+        position(Joint::Wrist).zip(position(Joint::MiddleProximal)).map_or(0.0, |(a, b)| (b - a).norm());
+    let mean = Morphology::default().finger(Finger::Middle).base_vector().norm();
+    let metres = if palm > 1e-9 { mean / palm } else { 1.0 };
+    let points = std::array::from_fn(|i| position(Joint::ALL[i]).map(|at| (at * metres).into()));
     match tell_side(&[points]) {
         Ok(trial) if trial.ratio() >= TELLING => Ok(trial.side()),
         _ => Err(RigError::NoSide),

@@ -34,6 +34,13 @@ pub(super) struct Sizes {
     pub(super) meant: bool,
 }
 
+impl Sizes {
+    /// Metres in a unit of the file, as far as it is one that people work in.
+    pub(super) fn unit(&self) -> f64 {
+        if self.meant { self.metres } else { 1.0 }
+    }
+}
+
 /// Metres in units that rigs are made in, and the lengths of hands, metres.
 const UNITS: [f64; 4] = [1.0, 0.01, 0.001, 0.0254];
 const HAND_LENGTHS: std::ops::Range<f64> = 0.1..0.3;
@@ -232,6 +239,7 @@ impl RigHand {
         &self,
         document: &RigDocument,
         bind: &Bind,
+        metres: f64,
         frames: &HandFrames,
     ) -> Vec<Similarity3<f64>> {
         // What turns each joint from its rest, and where it then is.
@@ -258,7 +266,7 @@ impl RigHand {
                     positions[above.index()] + turns[above.index()] * arm
                 }
                 None if self.arm.is_some() => here,
-                None => frames.get(joint).translation.vector,
+                None => frames.get(joint).translation.vector / metres,
             };
             (turns[joint.index()], positions[joint.index()]) = (turn, position);
             push(node, &turn, position);

@@ -240,7 +240,10 @@ impl MovedHand {
         let mean = told.clone().unwrap_or_default();
         let bind = hand.bind(document, &mean)?;
         let sizes = match told {
-            Some(morphology) => Sizes { morphology: Some(morphology), metres: 1.0, meant: true },
+            Some(morphology) => {
+                let metres = hand.sizes(document, &bind).unit();
+                Sizes { morphology: Some(morphology), metres, meant: true }
+            }
             None => hand.sizes(document, &bind),
         };
         let neutral = Skeleton::new(&mean, hand.side).local_frames(&[0.0; 29]);
