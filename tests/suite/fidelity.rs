@@ -557,6 +557,23 @@ fn what_is_not_known_is_not_counted() {
     let counted = ["frames", "truth_frames", "visible_frames"].map(|key| report[key].as_u64().unwrap());
     assert_eq!(counted, [30, 10, 10], "{report}");
     assert_eq!(known["tracking"]["starts"], serde_json::json!([0.0, 5.5]));
+    // One of another clip: longer, or of a hand elsewhere.
+    let told = |poses: &PoseClip| {
+        write_poses(&file("some.jsonl"), poses).unwrap();
+        handcast(&["fidelity", path(&clip), "--truth", &truth, "--no-curve", "--no-mirror", "-q"])
+    };
+    let own = read_poses(&poses).unwrap();
+    assert_eq!(text(&told(&own).stderr), "");
+    let mut moved = own.clone();
+    moved.frames.iter_mut().for_each(|frame| frame.pose.translation.x += 0.15);
+    let out = told(&moved);
+    let words = text(&out.stderr);
+    assert!(out.status.success() && words.contains("the true wrist is seen 0.8 hand lengths off"), "{words}");
+    let (mut longer, end) = (own.clone(), own.frames.len() as f64 / 25.0);
+    longer.frames.extend(own.frames.into_iter().map(|frame| TimedPose { time: frame.time + end, ..frame }));
+    let out = told(&longer);
+    let words = text(&out.stderr);
+    assert!(!out.status.success() && words.contains("true poses of 60 pictures for the 30"), "{words}");
 
     // Without losses there is nothing that could be wrong.
     let none_lost = done(&["fidelity", path(&poses), "--loss", "0%", "--seeds", "1", "--json"]);
