@@ -163,7 +163,7 @@ impl Args {
             .with_room(&self.room)
             .with_token(token)
             .with_hosts(self.host.clone())
-            .with_parts(page::parts())
+            .with_parts(page::parts(!self.alone))
             .with_senders(!self.alone);
         let Some([certificates, key]) = self.tls.as_deref() else { return Ok(options) };
         let read = |path: &PathBuf| std::fs::read(path).with_context(|| format!("{}", path.display()));
