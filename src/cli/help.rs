@@ -47,6 +47,7 @@ handcast track clip.mp4 -o hand.glb --person person.toml",
         "fit",
         "\
 handcast fit open-hand.jpg -o person.toml --debug stages/
+handcast fit clip.mp4 -o person.toml --from 0:12.5
 handcast run clip.mp4 -o out --person person.toml",
     ),
     (

@@ -408,6 +408,7 @@ impl TrackArgs {
             hand_length: self.hand_length_mm.unwrap_or(TrackSettings::default().hand_length),
             field_of_view: self.fov,
             finder,
+            ..TrackSettings::default()
         }
     }
 
