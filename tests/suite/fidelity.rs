@@ -365,6 +365,31 @@ fn the_account_of_bits_adds_up() {
     assert!((symmetry.rms_deg[0] - symmetry.rms_deg[1]).abs() < 0.05, "{symmetry:?}");
 }
 
+/// Also where no stream has their rate: it then has several ticks to a frame, and holds it.
+#[test]
+fn streams_are_the_poses_that_they_were_made_of_at_odd_rates() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = |name: &str| folder.path().join(name);
+    let (poses, stream) = (file("a.jsonl"), file("a.fba"));
+    let demo = read_poses("fixtures/demo.poses.jsonl".as_ref()).unwrap();
+    for (rate, carried) in [(6.67, true), (20.0 / 3.0, true), (9.09, true), (12.5, false), (7.3, false)] {
+        let mut clip = demo.clone();
+        clip.header.rate = Some(rate);
+        clip.frames.iter_mut().for_each(|frame| frame.time *= 25.0 / rate);
+        write_poses(&poses, &clip).unwrap();
+        done(&["encode", path(&poses), "-o", path(&stream), "-q"]);
+        for [a, b] in [[&stream, &poses], [&poses, &stream]] {
+            let report = done(&["compare", path(a), path(b), "--json"]);
+            let report: serde_json::Value = serde_json::from_str(&report).unwrap();
+            assert_eq!(report["hands"][0]["frames"], 150, "{rate}");
+            assert_eq!(
+                report["carrier"],
+                serde_json::json!([carried && a == &stream, carried && b == &stream])
+            );
+        }
+    }
+}
+
 #[test]
 fn compare_tells_what_differs_and_answers_by_exit_code() {
     let folder = tempfile::tempdir().unwrap();
