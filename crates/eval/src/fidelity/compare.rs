@@ -629,8 +629,8 @@ mod tests {
             let (carried, ticks) = FrameRate::carrying(rate).unwrap();
             let tick = carried.per_second().recip();
             assert!(ticks > 1);
-            let mut held = PoseClip::default();
-            held.header = PoseHeader::one(Side::Right, None, Some(carried.per_second()));
+            let header = PoseHeader::one(Side::Right, None, Some(carried.per_second()));
+            let mut held = PoseClip { header, frames: Vec::new() };
             for number in 0..60 * ticks as usize {
                 let time = number as f64 * tick;
                 let frame = poses.frames.iter().rfind(|frame| frame.time < time + 0.5 * tick).unwrap();
