@@ -9,6 +9,7 @@ mod usage;
 
 #[cfg(feature = "bench")]
 mod bench;
+mod beside;
 mod common;
 mod compare;
 mod corpus;

@@ -169,7 +169,13 @@ fn print_poses(files: [(&str, &Motion); 2], found: &Comparison) {
     } else if found.interpolated {
         outln!("note: a glTF file keeps keys only: it is interpolated between them, as players do");
     }
-    if a.frames != b.frames && !found.interpolated {
+    let carrier = ["A", "B"].into_iter().zip(["B", "A"]).zip(found.carrier).find(|(_, carries)| *carries);
+    if let Some(((stream, poses), _)) = carrier {
+        outln!(
+            "note: {stream} has the rate of the stream that {poses} is sent as, several ticks to a frame: compared are the frames of {poses}"
+        );
+    }
+    if a.frames != b.frames && !found.interpolated && carrier.is_none() {
         outln!("note: frame counts differ, {} and {}", a.frames, b.frames);
     }
     if (a.start - b.start).abs() > 1e-3 {

@@ -11,6 +11,7 @@ use indicatif::{HumanDuration, ProgressBar, ProgressStyle};
 
 use super::common::{RateArgs, limits, progress};
 use super::ending::place_of;
+use super::part::PartArgs;
 use super::tracking::TrackArgs;
 
 /// Tracks and encodes all clips and motion files of a folder and its subfolders
@@ -40,6 +41,8 @@ pub struct Args {
     #[arg(long)]
     checksum: bool,
     #[command(flatten)]
+    part: PartArgs,
+    #[command(flatten)]
     track: TrackArgs,
     #[command(flatten)]
     rate: RateArgs,
@@ -57,7 +60,10 @@ pub fn cores() -> usize {
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<()> {
     let show = !args.track.quiet && !args.track.json;
-    let (track, finder) = args.track.settings()?;
+    let (mut track, finder) = args.track.settings()?;
+    // Motions are encoded whole.
+    let part = args.part.part()?;
+    (track.from, track.until) = (part.from, Some(part.until).filter(|until| until.is_finite()));
     let settings = Settings { track, encode: args.rate.settings() };
     let mut choice = Choice::default();
     choice.only.clone_from(&args.only);

@@ -4,16 +4,17 @@ use std::error::Error;
 use std::io::{BufRead, Cursor, IsTerminal as _, Read as _, Write};
 use std::path::{Path, PathBuf};
 
-use anyhow::Context;
+use anyhow::{Context, bail};
 use handcast_codec::notices;
 use handcast_codec::{
     EncodedEnd, PoseEncoder, PoseEncoderOptions, PosesToStreamError, TipError, poses_on_ticks,
 };
 use handcast_fba::bap::{StepTable, epf, text};
+use handcast_fba::inspect::Inspector;
 use handcast_fba::plan::{PlanOptions, PlanReport};
 use handcast_fba::{DecoderOptions, EncodeError, encode_epf};
 use handcast_formats::motion::{Format, Motion, at_even_times, even_rate};
-use handcast_formats::mp4::{MuxOptions, mux, pictures_end_at, pictures_start_at};
+use handcast_formats::mp4::{MuxOptions, mux, pictures_end_at, pictures_start_at, starts_at, unwrapped};
 use handcast_formats::poses::PoseReader;
 use handcast_hand::{PoseClip, Side};
 
@@ -41,6 +42,9 @@ pub struct Args {
     /// Which joint of a .glb or .gltf is which, where names do not tell (.toml)
     #[arg(long, value_name = "FILE")]
     map: Option<PathBuf>,
+    /// Take a stream (.fba, or that in an .mp4) over as it is, byte for byte, in place of coding it anew
+    #[arg(long, conflicts_with_all = CODING)]
+    copy: bool,
     /// Encoder parameter file that makes every choice (.bap input only)
     #[arg(long, value_name = "FILE", conflicts_with_all = ["rate", "ranges", "derive"])]
     epf: Option<PathBuf>,
@@ -53,6 +57,30 @@ pub struct Args {
     #[command(flatten)]
     rate: RateArgs,
 }
+
+impl Args {
+    /// How the stream is read.
+    fn decoder(&self) -> DecoderOptions {
+        let (steps, ranges) = (self.rate.steps.into(), self.rate.ranges.into());
+        DecoderOptions { steps, ranges, ..DecoderOptions::default() }
+    }
+}
+
+/// Options that say how a stream is made, by the names of their fields.
+const CODING: [&str; 12] = [
+    "rate",
+    "epf",
+    "map",
+    "intra",
+    "live",
+    "resync",
+    "no_resync",
+    "no_sizes",
+    "repeat_sizes",
+    "derive",
+    "wrapper",
+    "profile",
+];
 
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<()> {
@@ -88,6 +116,9 @@ fn encode(args: &Args) -> anyhow::Result<()> {
     }
     if args.clip.is_some() && ending(&args.output) != "mp4" {
         refuse!("--clip: a stream stands beside a clip in an .mp4 alone");
+    }
+    if args.copy {
+        return copy(args);
     }
     let (head, input) = begun(&args.input)?;
     if args.map.is_some() && Format::of(&args.input, &head).is_none_or(|format| format.kind != "glb") {
@@ -142,6 +173,32 @@ fn encode(args: &Args) -> anyhow::Result<()> {
     say(args, &coded)
 }
 
+/// Takes a stream over, which is read to its end to know that it is one.
+fn copy(args: &Args) -> anyhow::Result<()> {
+    let name = args.input.display();
+    let bytes = read_input(&args.input, None)?;
+    let stream = unwrapped(&bytes).with_context(|| format!("{name}"))?;
+    let (mut planes, mut seconds) = (0, 0.0);
+    let mut inspector = Inspector::new(&stream, args.decoder());
+    while let Some(plane) = inspector.next() {
+        let frame = plane.with_context(|| format!("{name}: --copy is for sound streams"))?.frame;
+        planes += usize::from(frame.object_mask != 0);
+        let ticks = f64::from(frame.skipped) + 1.0;
+        seconds = frame.time + ticks / inspector.decoder().rate().per_second().max(f64::MIN_POSITIVE);
+    }
+    if planes == 0 {
+        bail!("{name} holds no stream: --copy takes one over as it is");
+    }
+    // A file tells when its stream begins, a clip's pictures when theirs do.
+    let start = (starts_at(&bytes) - pictures_start_at(&bytes)).max(0.0);
+    deliver(args, &stream, [start, seconds])?;
+    if !args.quiet {
+        let planes = counted(planes, "plane");
+        errln!("{}: {planes}, {} bytes, as they were", told_name(&args.output), stream.len());
+    }
+    Ok(())
+}
+
 /// Says what is worth knowing of how a motion was read, and what to do about it.
 fn tell_of_reading(motion: &Motion, path: &Path) {
     let name = path.display();
@@ -194,11 +251,6 @@ fn deliver(args: &Args, stream: &[u8], [start, seconds]: [f64; 2]) -> anyhow::Re
     let clip = args.clip.as_deref().map(|path| read_input(path, None)).transpose()?;
     // Only beside a clip it matters when the stream begins.
     let start = if clip.is_some() { start } else { 0.0 };
-    let decoder = DecoderOptions {
-        steps: args.rate.steps.into(),
-        ranges: args.rate.ranges.into(),
-        ..DecoderOptions::default()
-    };
     if let (Some(path), Some(clip)) = (&args.clip, &clip)
         && let Some(end) = pictures_end_at(clip)
     {
@@ -214,7 +266,7 @@ fn deliver(args: &Args, stream: &[u8], [start, seconds]: [f64; 2]) -> anyhow::Re
             );
         }
     }
-    let options = MuxOptions::default().with_decoder(decoder).with_start(start).with_clip(clip);
+    let options = MuxOptions::default().with_decoder(args.decoder()).with_start(start).with_clip(clip);
     let file = mux(stream, &options);
     let file = match &args.clip {
         Some(path) => file.with_context(|| format!("--clip {}", path.display()))?,

@@ -11,7 +11,9 @@ use handcast_eval::fidelity::{
 use handcast_formats::motion::{Format, Motion};
 use handcast_formats::mp4;
 use handcast_hand::PoseClip;
+use handcast_media::{FrameSource, Part};
 
+use super::beside::{check_times, notice_of_truth};
 use super::common::{
     RateArgs, Scratch, busy, check_span, ending, limits, read_input, tell_shortfall, write_output,
 };
@@ -54,10 +56,28 @@ pub struct Args {
     loss: LossArgs,
 }
 
+/// True poses, and the file that they are of.
+struct Truth(PathBuf, PoseClip);
+
+impl Truth {
+    fn read(path: &Path) -> anyhow::Result<Self> {
+        Ok(Self(path.to_owned(), Motion::read_within(path, limits())?.clip))
+    }
+
+    /// Makes sure that they may be of a clip: both are counted from their first instant.
+    fn check(&self, source: &dyn FrameSource) -> anyhow::Result<()> {
+        let Self(file, poses) = self;
+        let first = poses.frames.first().map_or(0.0, |pose| pose.time);
+        let mut times: Vec<f64> = poses.frames.iter().map(|pose| pose.time - first).collect();
+        times.dedup();
+        check_times(file, "true poses", &times, source, Part::WHOLE)
+    }
+}
+
 /// What is measured.
 enum Input {
     /// A clip, the name it goes by, and its true poses, if they are known.
-    Clip(PathBuf, String, Option<PoseClip>),
+    Clip(PathBuf, String, Option<Truth>),
     /// Poses from a file.
     Poses(Box<Motion>, String),
 }
@@ -124,12 +144,11 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
 }
 
 fn input(args: &Args, folder: Option<&Scratch>) -> anyhow::Result<Input> {
-    let read = |path: &Path| Motion::read_within(path, limits()).map(|motion| motion.clip);
-    let truth = args.truth.as_deref().map(read).transpose()?;
+    let truth = args.truth.as_deref().map(Truth::read).transpose()?;
     if let Some(folder) = folder {
         let clip = folder.0.join("demo.avi");
         demo_clip::write(&clip)?;
-        let built_in = demo_clip::poses()?;
+        let built_in = Truth(clip.clone(), demo_clip::poses()?);
         return Ok(Input::Clip(clip, "the built-in clip".into(), Some(truth.unwrap_or(built_in))));
     }
     let path = args.input.as_deref().context("no input")?;
@@ -148,7 +167,7 @@ fn input(args: &Args, folder: Option<&Scratch>) -> anyhow::Result<Input> {
     }
     let beside = path.with_extension("poses.jsonl");
     let truth = match truth {
-        None if beside.is_file() => Some(read(&beside)?),
+        None if beside.is_file() => Some(Truth::read(&beside)?),
         truth => truth,
     };
     Ok(Input::Clip(path.to_owned(), name, truth))
@@ -164,7 +183,8 @@ fn holds_stream_alone(path: &Path) -> bool {
 /// The poses of a clip.
 fn found(args: &Args, path: &Path) -> anyhow::Result<PoseClip> {
     let (source, masks) = args.track.open(path, args.input_fps)?;
-    let track = args.track.options(source.info())?;
+    let joints = args.track.joints(source.as_ref(), Part::WHOLE)?;
+    let track = args.track.options(joints.as_ref())?;
     let bar = args.track.progress(path, source.as_ref());
     let measured = measure_clip(source, masks, &track, None, &mut |read| bar.set_position(read as u64))
         .with_context(|| path.display().to_string())?;
@@ -178,11 +198,14 @@ fn tracked(
     args: &Args,
     path: &Path,
     name: &str,
-    truth: Option<&PoseClip>,
+    truth: Option<&Truth>,
     options: &FidelityOptions,
 ) -> anyhow::Result<(FidelityReport, RoundTrip, Option<MeasuredClip>)> {
     let (source, masks) = args.track.open(path, args.input_fps)?;
-    let track = args.track.options(source.info())?;
+    truth.map(|truth| truth.check(source.as_ref())).transpose()?;
+    let (file, truth) = truth.map(|Truth(file, poses)| (file, poses)).unzip();
+    let joints = args.track.joints(source.as_ref(), Part::WHOLE)?;
+    let track = args.track.options(joints.as_ref())?;
     let bar = args.track.progress(path, source.as_ref());
     let mut measured = measure_clip(source, masks, &track, truth, &mut |read| bar.set_position(read as u64))
         .with_context(|| path.display().to_string())?;
@@ -191,14 +214,16 @@ fn tracked(
     if measured.seam.hands > 1 {
         errln!("handcast: {name}: two hands; the first is measured, --hand chooses");
     }
-    if let Some(truth) = truth {
-        let found = measured.clip.hands.first().map(|h| h.start.side);
-        let side = found.context("no hand was found")?;
+    if let Some((truth, file)) = truth.zip(file) {
+        let found = measured.clip.hands.first().context("no hand was found")?;
         ensure!(
-            truth.of(side).next().is_some(),
+            truth.of(found.start.side).next().is_some(),
             "the true poses are not of the {} hand that was found (see --hand, --view)",
-            side.name()
+            found.start.side.name()
         );
+        if let Some(notice) = notice_of_truth(file, truth, found, &measured.clip.times) {
+            errln!("handcast: {notice}");
+        }
     }
     if options.mirror {
         let (source, masks) = args.track.open(path, args.input_fps)?;

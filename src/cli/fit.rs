@@ -8,6 +8,7 @@ use handcast_formats::atomic::AtomicFile;
 use handcast_formats::person::{check_name, write_person};
 use handcast_hand::anthropometry::{Bounds, CONSTRAINTS, Measure, check};
 use handcast_hand::{Finger, Person};
+use handcast_media::Part;
 use handcast_render::draw_stages;
 use handcast_track::pipeline::{Stages, StillFit, StillOptions, StillTimings, fit_still};
 use handcast_track::{Fit, View};
@@ -15,6 +16,7 @@ use image::RgbImage;
 use image::codecs::png::PngEncoder;
 
 use super::common::{FaceOrAuto, HandOrAuto, field_of_view, hand_length, opening};
+use super::part::PartArgs;
 
 /// Measures a person's hand in one picture of it, fingers spread, and writes a person file
 #[derive(Debug, clap::Args)]
@@ -42,9 +44,11 @@ pub struct Args {
     /// Degrees the camera sees across the longer side, 5 to 150
     #[arg(long, value_name = "DEG", default_value_t = 60.0, value_parser = field_of_view)]
     fov: f64,
-    /// Number of the frame, from 0, when the input is a clip
+    /// Number of the frame, from 0, when the input is a clip; with --from counted from there
     #[arg(long, value_name = "N", default_value_t = 0)]
     frame: usize,
+    #[command(flatten)]
+    part: PartArgs,
     /// Folder for a picture of each stage, and fit.png with all of them
     #[arg(long, value_name = "DIR")]
     debug: Option<PathBuf>,
@@ -60,14 +64,14 @@ pub struct Args {
 pub fn run(args: &Args) -> anyhow::Result<()> {
     check_name(&args.output)?;
     let name = args.image.display();
-    let image = picture(&args.image, args.frame)?;
+    let image = picture(&args.image, args.frame, args.part.part()?)?;
     let mut options = StillOptions::default();
     options.side = args.hand.known();
     options.view = args.view.known();
     options.hand_length = args.hand_length_mm.unwrap_or(options.hand_length);
     options.field_of_view = args.fov;
     if let Some(path) = &args.mask {
-        options.mask = Some(image::imageops::grayscale(&picture(path, 0)?));
+        options.mask = Some(image::imageops::grayscale(&picture(path, 0, Part::WHOLE)?));
     }
     options.sample = args.sample.as_deref().map(|text| sample(text, &image)).transpose()?;
     let mut stages = Stages::default();
@@ -94,14 +98,16 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn picture(path: &Path, frame: usize) -> anyhow::Result<RgbImage> {
-    let mut source = handcast_media::open(path, &opening())?;
-    let mut read = 0;
+/// A picture of a part of a clip, by its number in it.
+fn picture(path: &Path, frame: usize, part: Part) -> anyhow::Result<RgbImage> {
+    let mut source = handcast_media::open(path, &opening().with_part(part))?;
+    let (mut first, mut read) = (None, 0);
     while let Some(next) = source.next_frame()? {
-        if next.index == frame {
+        let number = next.index.saturating_sub(*first.get_or_insert(next.index));
+        if number == frame {
             return Ok(next.image);
         }
-        read = next.index + 1;
+        read = number + 1;
     }
     let shortfall = source.shortfall().map_or_else(String::new, |told| format!(" ({told})"));
     anyhow::bail!("{}: frame {frame} of {read}{shortfall}", path.display())
@@ -111,7 +117,7 @@ fn picture(path: &Path, frame: usize) -> anyhow::Result<RgbImage> {
 fn sample(text: &str, image: &RgbImage) -> anyhow::Result<RgbImage> {
     let numbers: Result<Vec<u32>, _> = text.split(',').map(|part| part.trim().parse::<u32>()).collect();
     let Ok(&[x, y, w, h]) = numbers.as_deref() else {
-        return picture(Path::new(text), 0).context("--sample is neither X,Y,W,H nor a picture");
+        return picture(Path::new(text), 0, Part::WHOLE).context("--sample is neither X,Y,W,H nor a picture");
     };
     let inside = |from: u32, length: u32, all: u32| {
         length > 0 && u64::from(from) + u64::from(length) <= u64::from(all)

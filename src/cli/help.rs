@@ -47,6 +47,7 @@ handcast track clip.mp4 -o hand.glb --person person.toml",
         "fit",
         "\
 handcast fit open-hand.jpg -o person.toml --debug stages/
+handcast fit clip.mp4 -o person.toml --from 0:12.5
 handcast run clip.mp4 -o out --person person.toml",
     ),
     (
@@ -69,6 +70,7 @@ handcast run clip.mp4 -o out --net mediapipe-0.10.21-*.whl",
 handcast encode poses.jsonl -o hand.fba --bitrate 1.5
 handcast encode hand.bvh -o hand.fba --max-error 3mm
 handcast encode poses.jsonl -o hand.mp4 --clip clip.mp4
+handcast encode hand.mp4 -o hand.fba --copy  # the stream as it is, not coded anew
 handcast track clip.mp4 -o - | handcast encode - --live -o hand.fba",
     ),
     (

@@ -163,7 +163,7 @@ impl Args {
             .with_room(&self.room)
             .with_token(token)
             .with_hosts(self.host.clone())
-            .with_parts(page::parts())
+            .with_parts(page::parts(!self.alone))
             .with_senders(!self.alone);
         let Some([certificates, key]) = self.tls.as_deref() else { return Ok(options) };
         let read = |path: &PathBuf| std::fs::read(path).with_context(|| format!("{}", path.display()));
@@ -223,7 +223,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         given::note_idle("a clip is no camera", &["size"]);
         given::note_idle_rate("the clip", info.rate, args.input_fps, "input_fps");
     }
-    let mut track = args.track.options(&info)?;
+    let mut track = args.track.options(None)?;
     // What is sent live cannot wait for fingers to bend.
     track.tuning.contest.undecided = 0;
     // Trembling costs bits, and what follows it at once shows none of it.

@@ -18,8 +18,11 @@ use super::common::ending;
 
 /// Pictures that may wait for the writer.
 const AHEAD: usize = 8;
-/// Shortest and longest time that a picture of a film is shown, seconds.
-const SHOWN: (f64, f64) = (0.001, 10.0);
+/// Shortest time that a picture of a film is shown, seconds.
+const SHORTEST: f64 = 0.001;
+/// Longest time, seconds, for which a picture is written again and again, as an .avi has it, and for which the last one is shown,
+/// whose time nothing tells.
+const LONGEST: f64 = 10.0;
 /// JPEG quality.
 const QUALITY: u8 = 80;
 
@@ -124,11 +127,11 @@ impl Video {
         match self {
             #[cfg(feature = "h264")]
             Self::Film(film) => {
-                film.write(picture, (seconds.clamp(SHOWN.0, SHOWN.1) * f64::from(TICKS)).round() as u32)?;
+                film.write(picture, (seconds.max(SHORTEST) * f64::from(TICKS)).round() as u32)?;
             }
             Self::Jpeg { video, period, behind } => {
                 video.write(picture)?;
-                *behind += seconds.clamp(0.0, SHOWN.1) - *period;
+                *behind += seconds.clamp(0.0, LONGEST) - *period;
                 // Where the clip dropped frames, the one before is shown on.
                 while *behind > 0.5 * *period {
                     video.write(picture)?;
@@ -210,7 +213,7 @@ fn write_all(mut video: Video, pictures: &Receiver<(RgbImage, f64)>, rate: f64) 
         }
     }
     if let Some((picture, _)) = waits {
-        write(&picture, shown)?;
+        write(&picture, shown.min(LONGEST))?;
     }
     Ok((video, time))
 }
@@ -226,8 +229,12 @@ mod tests {
     }
 
     fn draw(overlay: &mut Overlay, index: usize, image: &RgbImage) -> anyhow::Result<()> {
+        draw_at(overlay, index, 0.0, image)
+    }
+
+    fn draw_at(overlay: &mut Overlay, index: usize, time: f64, image: &RgbImage) -> anyhow::Result<()> {
         let spent = StageTimes::default();
-        overlay.draw(&mut TrackedFrame { index, time: 0.0, image, parts: Ok(&[]), hands: Vec::new(), spent })
+        overlay.draw(&mut TrackedFrame { index, time, image, parts: Ok(&[]), hands: Vec::new(), spent })
     }
 
     fn is_empty(folder: &Path) -> bool {
@@ -248,6 +255,35 @@ mod tests {
         }
         overlay.finish().unwrap().unwrap().file.commit().unwrap();
         assert_eq!(std::fs::read(&path).unwrap(), alone.finish().unwrap().into_inner());
+    }
+
+    #[test]
+    fn a_picture_is_shown_until_the_next_one() {
+        let folder = tempfile::tempdir().unwrap();
+        let times = [0.0, 0.5, 95.25, 96.0];
+        let shown = |name: &str| {
+            let path = folder.path().join(name);
+            let mut overlay = Overlay::new(path.clone(), 4.0);
+            for (i, time) in times.into_iter().enumerate() {
+                draw_at(&mut overlay, i, time, &picture(40 * i as u32, 40)).unwrap();
+            }
+            overlay.finish().unwrap().unwrap().file.commit().unwrap();
+            let open = handcast_media::OpenOptions::default().with_ffmpeg(None);
+            let mut source = handcast_media::open(&path, &open).unwrap();
+            let mut times = Vec::new();
+            while let Some(frame) = source.next_frame().unwrap() {
+                times.push(frame.time);
+            }
+            times
+        };
+        if cfg!(feature = "h264") {
+            let found = shown("x.mp4");
+            assert_eq!(found.len(), 4);
+            assert!(found.iter().zip(times).all(|(a, b)| (a - b).abs() < 1e-4), "{found:?}");
+        }
+        // Four a second, as often as it takes: of the long one no more than ten seconds.
+        let found = shown("x.avi");
+        assert_eq!(found.len(), 2 + 40 + 3 + 3, "{found:?}");
     }
 
     #[test]

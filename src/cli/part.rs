@@ -2,7 +2,7 @@
 
 use handcast_media::Part;
 
-/// The part of a clip that is tracked; times of poses count from the clip's first picture all the same.
+/// The part of a clip that is looked at; times of poses count from the clip's first picture all the same.
 #[derive(Debug, clap::Args)]
 #[command(next_help_heading = "Part of the clip")]
 pub struct PartArgs {

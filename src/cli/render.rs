@@ -1,6 +1,7 @@
 //! `handcast render`: pictures of poses without a browser.
 
-use std::path::PathBuf;
+use std::io::{IsTerminal as _, Write};
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail, ensure};
 use clap::Args as ClapArgs;
@@ -18,7 +19,7 @@ use image::codecs::webp::WebPEncoder;
 use image::{Delay, Frame, RgbaImage};
 use indicatif::{ProgressBar, ProgressStyle};
 
-use super::common::{Hand, busy, check_seen, ending, progress};
+use super::common::{Hand, busy, check_seen, ending, progress, told_name, write_output};
 use super::motion::{Motion, MotionArgs};
 use super::poses_out::centre;
 
@@ -43,7 +44,7 @@ const TURN: (usize, f64) = (72, 24.0);
 /// Draws the moving hands of a stream, a GLB or a pose file
 #[derive(Debug, ClapArgs)]
 pub struct Args {
-    /// Picture to write: .png (contact sheet), .mp4, .gif or .webp (animation)
+    /// Picture to write: .png (contact sheet; - for one on standard output), .mp4, .gif or .webp (animation)
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     /// Width and height of one picture, pixels, 1 to 4096 a side [default: 320x360, of hands beside one another 640x360]
@@ -266,28 +267,42 @@ impl Drawing<'_> {
         })
     }
 
-    /// Writes a file of this ending; gives the seconds that it lasts where it moves.
-    fn write(&self, ending: &str, file: &mut AtomicFile) -> anyhow::Result<Option<f64>> {
+    /// Writes a sheet, or the one picture, as PNG.
+    fn write_png(&self, into: impl Write) -> anyhow::Result<()> {
         let (width, height) = self.size;
+        let count = self.film.moments().len();
+        let rows = count.div_ceil(SHEET.1 as usize) as u64;
+        let side = (rows * u64::from(height + width / 32)).max(u64::from(SHEET.1 * (width + width / 32)));
+        ensure!(
+            count == 1 || side <= MAX_SHEET,
+            "a sheet of {side} pixels, allowed {MAX_SHEET}: fewer --frames"
+        );
+        let picture = match count {
+            1 => self.film.picture(0, self.style),
+            _ => self.film.sheet(SHEET.1, self.style),
+        };
+        Ok(picture.write_with_encoder(PngEncoder::new(into))?)
+    }
+
+    /// Writes what has this name, or to standard output for `-`; gives the seconds that it lasts where it moves.
+    fn write(&self, ending: &str, output: &Path) -> anyhow::Result<Option<f64>> {
+        if output.as_os_str() == "-" {
+            let mut bytes = Vec::new();
+            self.write_png(&mut bytes)?;
+            write_output(output, &bytes)?;
+            return Ok(None);
+        }
+        let mut file = AtomicFile::create(output).context("cannot write")?;
+        let seconds = self.write_file(ending, &mut file)?;
+        file.commit().context("cannot write")?;
+        Ok(seconds)
+    }
+
+    fn write_file(&self, ending: &str, file: &mut AtomicFile) -> anyhow::Result<Option<f64>> {
         let moments = self.film.moments();
         let single = moments.len() == 1;
         match ending {
-            "png" => {
-                let rows = moments.len().div_ceil(SHEET.1 as usize) as u64;
-                let side =
-                    (rows * u64::from(height + width / 32)).max(u64::from(SHEET.1 * (width + width / 32)));
-                ensure!(
-                    single || side <= MAX_SHEET,
-                    "a sheet of {side} pixels, allowed {MAX_SHEET}: fewer --frames"
-                );
-                let picture = if single {
-                    self.film.picture(0, self.style)
-                } else {
-                    self.film.sheet(SHEET.1, self.style)
-                };
-                picture.write_with_encoder(PngEncoder::new(file))?;
-                Ok(None)
-            }
+            "png" => self.write_png(file).map(|()| None),
             "webp" if single => {
                 self.film.picture(0, self.style).write_with_encoder(WebPEncoder::new_lossless(file))?;
                 Ok(None)
@@ -341,10 +356,14 @@ fn beside(all: &[Instant]) -> bool {
 
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<()> {
-    let extension = ending(&args.output);
+    let piped = args.output.as_os_str() == "-";
+    let extension = if piped { "png".to_owned() } else { ending(&args.output) };
+    if piped && std::io::stdout().is_terminal() {
+        refuse!("a picture is no text for a terminal: name a file, or pass it on through a pipe");
+    }
     if !ENDINGS.contains(&extension.as_str()) {
         refuse!(
-            "{}: cannot write this kind of picture, allowed are .{}{}",
+            "{}: cannot write this kind of picture, allowed are .{} and -{}",
             args.output.display(),
             ENDINGS.join(", ."),
             if cfg!(feature = "h264") { "" } else { "; for .mp4 this program lacks H.264" }
@@ -393,18 +412,16 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     {
         errln!("handcast: {}: {note}", args.output.display());
     }
-    let mut file = AtomicFile::create(&args.output).context("cannot write")?;
     let count = film.moments().len();
     let bar = drawn(!args.quiet, &extension, count);
     let drawing = Drawing { film: &film, size: (width, height), style: &style, bar: &bar };
-    let seconds = drawing.write(&extension, &mut file);
+    let seconds = drawing.write(&extension, &args.output);
     bar.finish_and_clear();
     let seconds = seconds?;
-    file.commit().context("cannot write")?;
     if !args.quiet {
         let pictures = if count == 1 { "1 picture".to_owned() } else { format!("{count} pictures") };
         let lasts = seconds.map_or_else(String::new, |seconds| format!(", {seconds:.1} s"));
-        errln!("{}: {pictures}{lasts}", args.output.display());
+        errln!("{}: {pictures}{lasts}", told_name(&args.output));
     }
     Ok(())
 }

@@ -6,10 +6,8 @@ use std::time::Instant;
 
 use anyhow::{Context, bail};
 use handcast_corpus::{Settings, TrackSettings};
-use handcast_formats::landmarks::{ImagePoints, LandmarkClip, LandmarkFrame};
 use handcast_formats::person::read_person;
 use handcast_hand::clip::MAX_RATE;
-use handcast_hand::landmarks::LANDMARKS_21;
 use handcast_hand::smooth::SmoothOptions;
 use handcast_hand::{ClipHand, Morphology, Person, PoseClip, PoseHeader, Side, TimedPose};
 use handcast_media::{ClipInfo, FrameSource, Part};
@@ -20,9 +18,9 @@ use handcast_track::pipeline::{
     track_frames,
 };
 use handcast_vision::VisionError;
-use handcast_vision::sighting::{ReadySightings, Region, Sighting};
 use indicatif::{ProgressBar, ProgressStyle};
 
+use super::beside::{Joints, Nearness};
 use super::common::{
     FaceOrAuto, HandOrAuto, field_of_view, hand_length, limits, opening, progress, tell_shortfall,
 };
@@ -179,39 +177,6 @@ pub fn smoothing(text: &str) -> Result<SmoothOptions, String> {
     }
 }
 
-/// The joints of a file of landmarks as sightings in the pictures of `clip`.
-fn read_sightings(path: &Path, clip: &ClipInfo) -> anyhow::Result<ReadySightings> {
-    let landmarks = LandmarkClip::read(path)?;
-    let right = landmarks.side.map_or(0.5, |side| if side == Side::Right { SURE } else { 1.0 - SURE });
-    let joints = |image: &ImagePoints| {
-        let points = LANDMARKS_21.map(|joint| image[joint.index()].map(|p| [p.x, p.y]));
-        points.iter().all(Option::is_some).then(|| points.map(Option::unwrap_or_default))
-    };
-    let sighted = |frame: &LandmarkFrame| {
-        let points = joints(frame.image.as_ref()?)?;
-        let region = Region::of_joints(&points);
-        Some((frame.time, vec![Sighting { points, world: None, presence: 1.0, right, region, age: 0 }]))
-    };
-    let frames: Vec<_> = landmarks.frames.iter().filter_map(sighted).collect();
-    if frames.is_empty() {
-        bail!("{}: no frame has `image`, the places of all 21 joints in the picture", path.display());
-    }
-    // They may be of the clip at another size, where the file says so.
-    let [width, height] = landmarks.image_size.unwrap_or([clip.width.into(), clip.height.into()]);
-    let inside = |[x, y]: &[f64; 2]| (0.0..=width).contains(x) && (0.0..=height).contains(y);
-    let points = frames.iter().flat_map(|(_, hands)| hands).flat_map(|hand| &hand.points);
-    let (all, outside) =
-        points.fold((0, 0), |(all, out), point| (all + 1, out + usize::from(!inside(point))));
-    if outside > all / 4 {
-        bail!(
-            "{}: {outside} of {all} joints lie outside pictures of {width} x {height}: they are of another clip, or of this one at another size",
-            path.display()
-        );
-    }
-    let rate = clip.rate.or(landmarks.rate).unwrap_or(FALLBACK_RATE);
-    Ok(ReadySightings::new(frames, 0.75 / rate).in_pictures_of(width.round() as u32))
-}
-
 /// That there is a mask for each frame, where it is known before they are read how many there are.
 fn check_masks(masks: &Path, have: &ClipInfo, clip: &Path, want: &ClipInfo) -> anyhow::Result<()> {
     let numbered = want.frames.map(|frames| want.before + frames);
@@ -221,13 +186,9 @@ fn check_masks(masks: &Path, have: &ClipInfo, clip: &Path, want: &ClipInfo) -> a
     bail!("{}: {have} masks for the {frames} frames of {}", masks.display(), clip.display());
 }
 
-/// Probability of a side that a file of landmarks names.
-const SURE: f64 = 0.98;
 /// Joints that move by less than this share of the hand's length from frame to frame are looked for in every second
 /// one: what a network's joints are off by.
 const STEADY: f64 = 0.02;
-/// Frames per second of clip and landmarks that both do not say.
-const FALLBACK_RATE: f64 = 30.0;
 
 /// What made the poses.
 fn made_by() -> String {
@@ -272,7 +233,8 @@ impl TrackArgs {
     ) -> anyhow::Result<Tracked> {
         let begun = Instant::now();
         let (mut source, masks) = self.open_part(path, rate, part)?;
-        let (finder, named) = self.finder(source.info())?.unzip();
+        let joints = self.joints(source.as_ref(), part)?;
+        let (finder, named) = self.finder(joints.as_ref())?.unzip();
         let mut options = self.options_with(finder)?;
         let work = self.work(path, source.info(), part, named, options.person.clone());
         if path.as_os_str() == "-" && poses.lines.as_ref().is_some_and(Lines::flow) {
@@ -288,6 +250,7 @@ impl TrackArgs {
         let by_colours = options.finder.is_none() && masks.is_none();
         let of_masks = masks.as_ref().and_then(|masks| masks.info().frames);
         let mut sink = Sink::new(self, path, overlay, poses, rate, source.as_ref());
+        sink.nearness = joints.map(Nearness::new);
         let newest = Newest::default();
         if let Some((lines, header)) = &mut sink.lines {
             header.hands = resumed.map(|(resumed, _)| resumed.hands()).unwrap_or_default();
@@ -298,6 +261,9 @@ impl TrackArgs {
         let end = track_frames(newest.watch(source), masks, &options, &mut sink);
         let end = end.map_err(|error| advised(error, path, by_colours, newest.shortfall()))?;
         tell_shortfall(path, end.shortfall.as_deref());
+        if let Some(notice) = sink.nearness.as_ref().and_then(Nearness::notice) {
+            errln!("handcast: {notice}");
+        }
         if end.further > 0 {
             let s = if end.further > 1 { "s" } else { "" };
             errln!(
@@ -386,9 +352,14 @@ impl TrackArgs {
         progress(show, if show { length::frames(path, source.info()) } else { None })
     }
 
-    /// The options of the pipeline for a clip.
-    pub fn options(&self, clip: &ClipInfo) -> anyhow::Result<ClipOptions> {
-        self.options_with(self.finder(clip)?.map(|(finder, _)| finder))
+    /// The joints that are given for a clip, of which `source` reads a part.
+    pub fn joints(&self, source: &dyn FrameSource, part: Part) -> anyhow::Result<Option<Joints>> {
+        self.joints.as_ref().map(|path| Joints::read(path, source, part)).transpose()
+    }
+
+    /// The options of the pipeline for a clip, for which `joints` are given.
+    pub fn options(&self, joints: Option<&Joints>) -> anyhow::Result<ClipOptions> {
+        self.options_with(self.finder(joints)?.map(|(finder, _)| finder))
     }
 
     fn options_with(&self, finder: Option<FinderSource>) -> anyhow::Result<ClipOptions> {
@@ -437,6 +408,7 @@ impl TrackArgs {
             hand_length: self.hand_length_mm.unwrap_or(TrackSettings::default().hand_length),
             field_of_view: self.fov,
             finder,
+            ..TrackSettings::default()
         }
     }
 
@@ -473,11 +445,9 @@ impl TrackArgs {
     }
 
     /// What finds hands, and its name: joints that are ready, the networks given, or those that are there.
-    fn finder(&self, clip: &ClipInfo) -> anyhow::Result<Option<(FinderSource, String)>> {
-        if let Some(path) = &self.joints {
-            let ready = read_sightings(path, clip)?;
-            let finder = FinderSource::new(move || Box::new(ready.clone()));
-            return Ok(Some((finder, path.display().to_string())));
+    fn finder(&self, joints: Option<&Joints>) -> anyhow::Result<Option<(FinderSource, String)>> {
+        if let Some(joints) = joints {
+            return Ok(Some((joints.finder(), joints.name())));
         }
         if self.no_net || self.mask.is_some() {
             return Ok(None);
@@ -571,6 +541,8 @@ struct Sink {
     tallies: Vec<HandTally>,
     /// `None` when no overlay is wanted.
     overlay: Option<Overlay>,
+    /// Of the joints that are given.
+    nearness: Option<Nearness>,
 }
 
 impl Sink {
@@ -603,6 +575,7 @@ impl Sink {
             kept: poses.keep.then(Vec::new),
             tallies: Vec::new(),
             overlay: overlay.map(|path| Overlay::new(path, rate)),
+            nearness: None,
         }
     }
 
@@ -654,6 +627,9 @@ impl ClipSink for Sink {
         if let Some((lines, header)) = &mut self.lines {
             let poses = frame.hands.iter().map(|hand| hand.found.timed(frame.time));
             lines.write(|| header.clone(), poses).map_err(|e| message(&e))?;
+        }
+        if let Some(nearness) = &mut self.nearness {
+            nearness.add(&frame);
         }
         match &mut self.overlay {
             Some(overlay) => overlay.draw(&mut frame).map_err(|e| format!("overlay: {}", message(&e))),

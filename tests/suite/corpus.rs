@@ -234,6 +234,44 @@ fn a_broken_clip_is_a_line_and_the_others_are_done() {
 }
 
 #[test]
+fn a_part_of_each_clip_is_done_anew_with_other_bounds() {
+    let dir = tempfile::tempdir().unwrap();
+    let (input, out) = (dir.path().join("in"), dir.path().join("out"));
+    inputs(&input, 2);
+    let run = |more: &[&str]| {
+        done(&[&["corpus", path(&input), "-o", path(&out)], more].concat());
+        let run = report(&out)["run"].clone();
+        ["before", "done", "failed"].map(|key| run[key].as_u64().unwrap())
+    };
+    let seconds = |name: &str| {
+        let lines = lines(&out.join("manifest.jsonl"));
+        lines.iter().find(|line| line["name"] == name).unwrap()["seconds"].as_f64().unwrap()
+    };
+    assert_eq!(run(&[]), [0, 5, 0]);
+    let (whole, motion) = (seconds("a/clip-00.avi"), seconds("a/b/fist.jsonl"));
+    let part = ["--from", "0.12", "--until", "0:00.32"];
+    assert_eq!(run(&part), [0, 5, 0]);
+    assert!((seconds("a/clip-00.avi") - 0.2).abs() < 1e-9 && whole > 0.4, "{whole}");
+    assert!((seconds("a/b/fist.jsonl") - motion).abs() < 1e-9, "motions are whole");
+    // As `run` makes it of one clip.
+    let alone = dir.path().join("alone");
+    done(&[&["run", path(&input.join("a/clip-00.avi")), "-o", path(&alone), "-q"], &part[..]].concat());
+    assert!(
+        fs::read(alone.join("hand.fba")).unwrap() == fs::read(out.join("streams/a/clip-00.avi.fba")).unwrap()
+    );
+    assert_eq!(run(&part), [5, 0, 0]);
+    assert_eq!(run(&["--from", "0.12"]), [0, 5, 0]);
+    // Behind the clips' end.
+    assert_eq!(run(&["--from", "9"]), [0, 3, 2]);
+    let failures = lines(&out.join("failures.jsonl"));
+    assert!(failures[0]["error"].as_str().unwrap().contains("a/clip-00.avi"), "{failures:?}");
+    assert_eq!(
+        handcast(&["corpus", path(&input), "-o", path(&out), "--from", "2", "--until", "2"]).status.code(),
+        Some(2)
+    );
+}
+
+#[test]
 fn what_has_changed_is_done_anew_and_nothing_else() {
     let dir = tempfile::tempdir().unwrap();
     let (input, out) = (dir.path().join("in"), dir.path().join("out"));

@@ -365,6 +365,31 @@ fn the_account_of_bits_adds_up() {
     assert!((symmetry.rms_deg[0] - symmetry.rms_deg[1]).abs() < 0.05, "{symmetry:?}");
 }
 
+/// Also where no stream has their rate: it then has several ticks to a frame, and holds it.
+#[test]
+fn streams_are_the_poses_that_they_were_made_of_at_odd_rates() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = |name: &str| folder.path().join(name);
+    let (poses, stream) = (file("a.jsonl"), file("a.fba"));
+    let demo = read_poses("fixtures/demo.poses.jsonl".as_ref()).unwrap();
+    for (rate, carried) in [(6.67, true), (20.0 / 3.0, true), (9.09, true), (12.5, false), (7.3, false)] {
+        let mut clip = demo.clone();
+        clip.header.rate = Some(rate);
+        clip.frames.iter_mut().for_each(|frame| frame.time *= 25.0 / rate);
+        write_poses(&poses, &clip).unwrap();
+        done(&["encode", path(&poses), "-o", path(&stream), "-q"]);
+        for [a, b] in [[&stream, &poses], [&poses, &stream]] {
+            let report = done(&["compare", path(a), path(b), "--json"]);
+            let report: serde_json::Value = serde_json::from_str(&report).unwrap();
+            assert_eq!(report["hands"][0]["frames"], 150, "{rate}");
+            assert_eq!(
+                report["carrier"],
+                serde_json::json!([carried && a == &stream, carried && b == &stream])
+            );
+        }
+    }
+}
+
 #[test]
 fn compare_tells_what_differs_and_answers_by_exit_code() {
     let folder = tempfile::tempdir().unwrap();
@@ -557,6 +582,23 @@ fn what_is_not_known_is_not_counted() {
     let counted = ["frames", "truth_frames", "visible_frames"].map(|key| report[key].as_u64().unwrap());
     assert_eq!(counted, [30, 10, 10], "{report}");
     assert_eq!(known["tracking"]["starts"], serde_json::json!([0.0, 5.5]));
+    // One of another clip: longer, or of a hand elsewhere.
+    let told = |poses: &PoseClip| {
+        write_poses(&file("some.jsonl"), poses).unwrap();
+        handcast(&["fidelity", path(&clip), "--truth", &truth, "--no-curve", "--no-mirror", "-q"])
+    };
+    let own = read_poses(&poses).unwrap();
+    assert_eq!(text(&told(&own).stderr), "");
+    let mut moved = own.clone();
+    moved.frames.iter_mut().for_each(|frame| frame.pose.translation.x += 0.15);
+    let out = told(&moved);
+    let words = text(&out.stderr);
+    assert!(out.status.success() && words.contains("the true wrist is seen 0.8 hand lengths off"), "{words}");
+    let (mut longer, end) = (own.clone(), own.frames.len() as f64 / 25.0);
+    longer.frames.extend(own.frames.into_iter().map(|frame| TimedPose { time: frame.time + end, ..frame }));
+    let out = told(&longer);
+    let words = text(&out.stderr);
+    assert!(!out.status.success() && words.contains("true poses of 60 pictures for the 30"), "{words}");
 
     // Without losses there is nothing that could be wrong.
     let none_lost = done(&["fidelity", path(&poses), "--loss", "0%", "--seeds", "1", "--json"]);

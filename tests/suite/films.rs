@@ -3,7 +3,7 @@
 use std::io::Cursor;
 use std::path::Path;
 
-use crate::common::command::{done, misused, path, text};
+use crate::common::command::{done, handcast, misused, path, text};
 use crate::common::glb::{chromium, node};
 use handcast_media::film::{FilmWriter, TICKS};
 use handcast_media::{FrameSource, OpenOptions, open};
@@ -78,6 +78,23 @@ fn the_turntable_is_a_film() {
     let clear = folder.path().join("clear.mp4");
     misused(&["render", demo, "-o", path(&avi)], &avi, &["allowed are .png, .gif, .webp, .mp4"]);
     misused(&["render", demo, "-o", path(&clear), "--transparent"], &clear, &["has a background"]);
+}
+
+#[test]
+fn pictures_go_to_standard_output() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("x.png");
+    let demo = "fixtures/demo.poses.jsonl";
+    for how in [&["--frames", "3"][..], &["--at", "1", "--transparent"]] {
+        let drawn = |output: &str| {
+            let out = handcast(&[&["render", demo, "-o", output, "--size", "60x70"], how].concat());
+            assert!(out.status.success(), "{}", text(&out.stderr));
+            (out.stdout, text(&out.stderr))
+        };
+        drawn(path(&file));
+        let (bytes, said) = drawn("-");
+        assert!(bytes == std::fs::read(&file).unwrap() && said.starts_with("standard output: "), "{said}");
+    }
 }
 
 /// Until the first pose there is nothing to be seen.

@@ -36,6 +36,25 @@ fn number(report: &Value, key: &str) -> f64 {
     report[key].as_f64().unwrap_or_else(|| panic!("{key} in {report}"))
 }
 
+#[test]
+fn a_part_of_a_clip_is_looked_at() {
+    let dir = tempfile::tempdir().unwrap();
+    let person = dir.path().join("person.toml");
+    let made = |more: &[&str]| {
+        done(&[&["fit", "fixtures/demo.avi", "-o", path(&person), "-q"], more].concat());
+        std::fs::read_to_string(&person).unwrap()
+    };
+    let tenth = made(&["--frame", "10"]);
+    assert_eq!(made(&["--from", "0.4"]), tenth);
+    assert_eq!(made(&["--from", "0.36", "--frame", "1", "--until", "0:00.44"]), tenth);
+    assert_ne!(made(&[]), tenth);
+    std::fs::remove_file(&person).unwrap();
+    let fit = ["fit", "fixtures/demo.avi", "-o", path(&person)];
+    refused(&[&fit[..], &["--from", "5.9", "--frame", "9"]].concat(), &person, &["demo.avi", "frame 9 of 2"]);
+    refused(&[&fit[..], &["--from", "7"]].concat(), &person, &["demo.avi"]);
+    assert_eq!(handcast(&[&fit[..], &["--from", "2", "--until", "1"]].concat()).status.code(), Some(2));
+}
+
 /// Of so many persons, either hand from either side.
 fn assert_found(persons: u64) {
     let report = done(&["bench", "fit", "--persons", &persons.to_string(), "--json"]);

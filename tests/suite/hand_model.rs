@@ -120,6 +120,26 @@ fn spelled_words_are_feasible_clips() {
 }
 
 #[test]
+fn a_spelled_word_is_a_sheet_of_its_letters() {
+    let dir = tempfile::tempdir().unwrap();
+    let sheet = |args: &[&str]| {
+        done(&[&["spell", "-o", "x.png", "--size", "60x70"], args].concat(), dir.path());
+        image::open(dir.path().join("x.png")).unwrap().into_rgb8()
+    };
+    let places = |sheet: &image::RgbImage| (sheet.width() / 60) * (sheet.height() / 70);
+    // A picture of each letter, and none of what is between two: the last row alone may have places left.
+    let (one, four, eight) = (sheet(&["A"]), sheet(&["ABCD"]), sheet(&["HANDCAST"]));
+    assert_eq!(one.dimensions(), (60, 70));
+    assert!((4..8).contains(&places(&four)) && four.height() < 2 * 70, "{:?}", four.dimensions());
+    assert!((8..13).contains(&places(&eight)), "{:?}", eight.dimensions());
+    assert_eq!(sheet(&["A", "--hand", "right"]), one);
+    assert_ne!(sheet(&["A", "--hand", "left"]), one);
+    assert_ne!(sheet(&["B"]), one);
+    // Of as many moments as a second has.
+    assert!(places(&sheet(&["AB", "--fps", "10"])) > 8);
+}
+
+#[test]
 fn wrong_requests_are_refused_and_leave_no_file() {
     let dir = tempfile::tempdir().unwrap();
     let refused = |args: &[&str]| {

@@ -1,9 +1,12 @@
 //! `handcast bench labels` and `handcast track --joints` from the command line.
 
+use std::path::Path;
+
 use crate::common::command::{done, handcast, path, refused};
 use crate::common::shared;
 use handcast_formats::poses::{read_poses, write_poses};
-use handcast_hand::count_extended;
+use handcast_hand::landmarks::LANDMARKS_21;
+use handcast_hand::{Side, Skeleton, count_extended};
 use serde_json::Value;
 
 const DEMO_POSES: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/fixtures/demo.poses.jsonl");
@@ -103,6 +106,81 @@ fn joints_without_places_in_the_picture_are_refused() {
     let track = ["track", DEMO_CLIP, "--joints", path(&joints), "-o", path(&poses)];
     refused(&track, &poses, &["i.landmarks.jsonl", "no frame has `image`"]);
     assert_eq!(handcast(&[&track[..], &["--no-net"]].concat()).status.code(), Some(2));
+}
+
+/// The first `count` of the true joints of the built-in clip, from the beginning again behind its end: their places in its
+/// pictures moved by so many pixels, their times stretched.
+fn write_joints(file: &Path, count: usize, [right, stretched]: [f64; 2]) {
+    let clip = read_poses(DEMO_POSES.as_ref()).unwrap();
+    let morphology = clip.header.hands[0].morphology.clone().unwrap();
+    let skeleton = Skeleton::new(&morphology, Side::Right);
+    let focal = 240.0 / 30f64.to_radians().tan();
+    let line = |i: usize| {
+        let frames = skeleton.frames(&clip.frames[i % clip.frames.len()].pose);
+        let image = LANDMARKS_21.map(|joint| {
+            let p = frames.position(joint);
+            [240.0 - focal * p.x / p.z + right, 180.0 + focal * p.y / p.z]
+        });
+        format!("{}\n", serde_json::json!({ "t": 0.04 * i as f64 * stretched, "image": image }))
+    };
+    let header = r#"{"format":"landmarks21","order":"mediapipe","unit":"m","fps":25,"hand":"right"}"#;
+    std::fs::write(file, format!("{header}\n") + &(0..count).map(line).collect::<String>()).unwrap();
+}
+
+#[test]
+fn joints_of_another_clip_are_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let (joints, poses) = (at("i.landmarks.jsonl"), at("poses.jsonl"));
+    let track = ["track", DEMO_CLIP, "--joints", path(&joints), "-o", path(&poses), "-q"];
+    let said = |more: &[&str]| {
+        let out = handcast(&[&track[..], more].concat());
+        assert!(out.status.success(), "{}", crate::common::command::text(&out.stderr));
+        crate::common::command::text(&out.stderr)
+    };
+    // Its own, all of them, some, and those of more than a part.
+    write_joints(&joints, 150, [0.0, 1.0]);
+    assert_eq!(said(&[]), "");
+    assert_eq!(said(&["--until", "3"]), "");
+    write_joints(&joints, 90, [0.0, 1.0]);
+    assert_eq!(said(&[]), "");
+    refused(
+        &[&track[..], &["--from", "5"]].concat(),
+        &at("none"),
+        &["i.landmarks.jsonl", "none of them between"],
+    );
+    // A third of a hand beside it.
+    write_joints(&joints, 150, [60.0, 1.0]);
+    let words = said(&[]);
+    assert!(words.contains("hand lengths off") && words.contains("of this clip?"), "{words}");
+    // Slower, and more of them.
+    write_joints(&joints, 150, [0.0, 1.5]);
+    let words = said(&[]);
+    assert!(words.contains("behind the clip's last picture at 5.96 s"), "{words}");
+    write_joints(&joints, 160, [0.0, 1.0]);
+    refused(&track, &at("none"), &["i.landmarks.jsonl", "160 pictures for the 150 of the clip"]);
+    // Of pictures of another shape, which their file tells.
+    let square = at("square.pose");
+    done(&["import", DEMO_POSES, "-o", path(&square)]);
+    let track = ["track", DEMO_CLIP, "--joints", path(&square), "-o", path(&poses)];
+    refused(&track, &at("none"), &["square.pose", "1000 x 1000", "480 x 360", "of another shape"]);
+}
+
+#[test]
+#[ignore = "needs the shared clips"]
+fn joints_of_another_of_the_shared_clips_are_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let poses = folder.path().join("poses.jsonl");
+    let names = ["counting", "finger-flexions", "fingerspelling"];
+    for (clip, joints) in names.iter().flat_map(|clip| names.map(|joints| (*clip, joints))) {
+        let own = clip == joints;
+        let clip = shared(&format!("data/clips/{clip}.mp4"));
+        let joints = shared(&format!("data/motion/landmarks/{joints}.landmarks.jsonl"));
+        let out = handcast(&["track", path(&clip), "--joints", path(&joints), "-o", path(&poses), "-q"]);
+        let said = crate::common::command::text(&out.stderr);
+        assert_eq!(said.is_empty(), own, "{} {}: {said}", clip.display(), joints.display());
+        assert!(own || said.contains("clip"), "{said}");
+    }
 }
 
 #[test]

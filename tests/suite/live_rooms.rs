@@ -146,7 +146,7 @@ impl Drop for Waver {
 }
 
 fn server() -> Server {
-    let options = ServerOptions::new("127.0.0.1:0".parse().unwrap()).with_parts(page::parts());
+    let options = ServerOptions::new("127.0.0.1:0".parse().unwrap()).with_parts(page::parts(true));
     Server::start(options).unwrap()
 }
 
@@ -178,6 +178,32 @@ fn the_page_tells_that_a_sender_was_killed_and_shows_the_next_one() {
     assert_eq!(told[0]["messages"], json!([]), "{}", told[0]);
     assert!(matches!(late.next(Duration::from_secs(5)).unwrap(), Some(Message::Hello { .. })));
     next.die();
+}
+
+#[test]
+#[ignore = "needs Chromium and node"]
+fn the_page_of_a_host_who_sends_alone_offers_no_camera() {
+    let _alone = browser_alone();
+    for senders in [true, false] {
+        let options = ServerOptions::new("127.0.0.1:0".parse().unwrap());
+        let server = Server::start(options.with_parts(page::parts(senders)).with_senders(senders)).unwrap();
+        let mut publisher = server.publisher().unwrap();
+        let mut sender = PoseSender::new(LivePoseEncoderOptions::default());
+        let known = PoseHeader::one(Side::Right, None, Some(RATE));
+        let planes = sender.push(0.0, clock_ms(), &[waving(Side::Right, 1.0, 0.0)], &known).unwrap();
+        sender.take_hello().into_iter().for_each(|hello| publisher.hello(&hello).unwrap());
+        publisher.planes(&planes).unwrap();
+        let pages = Pages::open(&json!({
+            "url": format!("http://{}/hand", server.address()), "seconds": 0.5, "patience": 60_000,
+            "pages": [{ "width": 420, "height": 420 }],
+            "steps": [format!(
+                "state.hands.length === 1 && document.getElementById('send').checkVisibility() === {senders} \
+                 && document.getElementById('send-now').textContent.includes('its host alone sends') !== {senders}"
+            )],
+        }));
+        let told = pages.after_steps(1).end();
+        assert_eq!(told[0]["messages"], json!([]), "{}", told[0]);
+    }
 }
 
 /// All marks, looked at with the formulas of the shader at places of each triangle: those that its group leaves out show nothing

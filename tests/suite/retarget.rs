@@ -6,9 +6,10 @@ use crate::common::glb::{clip, container, document, node, world_transforms};
 use crate::common::shared;
 use handcast_gltf::{
     Clip, ExportOptions, GltfError, ImportOptions, Imported, ImportedHand, JointMap, JointNames, NodeAxes,
-    Retargeted, export, import, import_poses, retarget,
+    Retargeted, RigError, check_rig, export, import, import_poses, retarget,
 };
 use handcast_hand::{Finger, HandPose, Joint, JointAngle, Side, Skeleton};
+use handcast_limits::Limits;
 use nalgebra::{UnitQuaternion, Vector3};
 use serde_json::{Value, json};
 
@@ -1291,4 +1292,43 @@ fn damaged_rigs_are_refused_or_used_but_never_panic() {
         let _ = retarget(&clip, &bytes, None, None, &options);
         let _ = import_poses(&bytes);
     }
+}
+
+/// A flat hand without a thumb, whose bones point along y, is its own mirror image: only the map tells its side.
+#[test]
+fn a_hand_that_may_be_either_needs_its_side_in_the_map() {
+    let mut nodes = vec![json!({ "name": "root", "children": [] })];
+    let mut joints = "\n[joints]\nroot = \"wrist\"\n".to_owned();
+    for (finger, name) in ["index", "middle", "ring", "pinky"].into_iter().enumerate() {
+        let first = nodes.len();
+        nodes[0]["children"].as_array_mut().unwrap().push(first.into());
+        for (k, part) in
+            ["phalanx-proximal", "phalanx-intermediate", "phalanx-distal"].into_iter().enumerate()
+        {
+            let place = if k == 0 { [0.03 - 0.02 * finger as f64, 0.09, 0.0] } else { [0.0, 0.03, 0.0] };
+            let mut node = json!({ "name": format!("{finger}{k}"), "translation": place });
+            if k < 2 {
+                node["children"] = json!([first + k + 1]);
+            }
+            nodes.push(node);
+            joints += &format!("{finger}{k} = \"{name}-finger-{part}\"\n");
+        }
+    }
+    let document =
+        json!({ "asset": { "version": "2.0" }, "scene": 0, "scenes": [{ "nodes": [0] }], "nodes": nodes });
+    let rig = container(&document, &[]);
+    let sides = |hand: &str| {
+        let map = JointMap::parse(&format!("{hand}{joints}")).unwrap();
+        check_rig(&rig, None, Some(&map), &Limits::default()).map(|checked| checked.sides)
+    };
+    let error = sides("").unwrap_err();
+    assert!(matches!(error, GltfError::Rig(RigError::NoSide)), "{error}");
+    assert!(error.to_string().contains("a line hand = \"right\" before [joints]"), "{error}");
+    assert_eq!(sides("hand = \"right\"").unwrap(), [Side::Right]);
+    assert_eq!(sides("hand = \"left\"").unwrap(), [Side::Left]);
+    let error = JointMap::parse(&format!("hand = \"both\"{joints}")).unwrap_err().to_string();
+    assert!(
+        error.contains("hand = \"both\"") && error.contains("left") && error.contains("right"),
+        "{error}"
+    );
 }

@@ -6,6 +6,7 @@ use handcast_fba::bap::StepTable;
 use handcast_fba::plan::{PlanOptions, Target};
 use handcast_hand::smooth::SmoothOptions;
 use handcast_hand::{MAX_GAP, Person, Side};
+use handcast_media::Part;
 use handcast_track::View;
 use handcast_track::pipeline::{ClipOptions, FinderSource, Start};
 use serde::{Deserialize, Serialize};
@@ -41,9 +42,22 @@ pub struct TrackSettings {
     pub hand_length: f64,
     /// Degrees the camera sees across the longer side.
     pub field_of_view: f64,
+    /// Seconds of each clip, from its first picture on, from which it is tracked.
+    #[serde(skip_serializing_if = "is_beginning")]
+    pub from: f64,
+    /// Seconds of each clip at which it has ended; its own end where there are none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub until: Option<f64>,
     /// What finds hands, as a name that tells it from others (the SHA-256 of its files); the finder itself is given to
     /// [`Worker::with_finder`](crate::Worker::with_finder).
     pub finder: Option<String>,
+}
+
+/// Whether a part begins with its clip; then it is not named, and settings are told as they were before there were parts.
+// serde asks with a reference.
+#[allow(clippy::trivially_copy_pass_by_ref)]
+fn is_beginning(from: &f64) -> bool {
+    *from <= 0.0
 }
 
 impl Default for TrackSettings {
@@ -58,12 +72,19 @@ impl Default for TrackSettings {
             smooth: None,
             hand_length: options.hand_length,
             field_of_view: options.field_of_view,
+            from: 0.0,
+            until: None,
             finder: None,
         }
     }
 }
 
 impl TrackSettings {
+    /// The part of each clip that is tracked.
+    pub fn part(&self) -> Part {
+        Part { from: self.from, until: self.until.unwrap_or(f64::INFINITY), ..Part::WHOLE }
+    }
+
     /// The options of the pipeline; a clip keeps to one thread of trackers, as clips go side by side.
     pub fn options(&self, finder: Option<FinderSource>) -> ClipOptions {
         let mut options = ClipOptions::default();
@@ -227,11 +248,19 @@ mod tests {
         let mut other = Settings::default();
         other.encode.aim = Aim::Bitrate(1.5);
         other.track.hand = Some(Side::Left);
+        (other.track.from, other.track.until) = (1.5, Some(4.0));
         for settings in [Settings::default(), other.clone()] {
             let text = serde_json::to_string(&settings).unwrap();
             assert_eq!(serde_json::from_str::<Settings>(&text).unwrap(), settings);
         }
         assert_ne!(other.digest(), Settings::default().digest());
+        let mut longer = other.clone();
+        longer.track.until = None;
+        assert_ne!(longer.digest(), other.digest());
+        // Those of all of a clip are told as before there were parts.
+        let whole = serde_json::to_string(&Settings::default()).unwrap();
+        assert!(!whole.contains("from") && !whole.contains("until"), "{whole}");
+        assert!(Settings::default().track.part().is_whole());
         assert_eq!(other.digest().len(), 16);
         assert!(serde_json::from_str::<Settings>(r#"{"trak":{}}"#).is_err());
     }

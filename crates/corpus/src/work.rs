@@ -12,7 +12,7 @@ use handcast_formats::mp4;
 use handcast_formats::whole::read_whole;
 use handcast_hand::PoseClip;
 use handcast_limits::Limits;
-use handcast_media::{OpenOptions, open};
+use handcast_media::{OpenOptions, Part, open};
 use handcast_track::pipeline::{ClipOptions, FinderSource, track_clip};
 use sha2::{Digest, Sha256};
 
@@ -36,6 +36,7 @@ pub struct Worker {
     output: PathBuf,
     digest: String,
     track: ClipOptions,
+    part: Part,
     encode: EncodeSettings,
     limits: Limits,
     places: Option<Places>,
@@ -69,6 +70,7 @@ impl Worker {
             output: output.into(),
             digest: settings.digest(),
             track: settings.track.options(None),
+            part: settings.track.part(),
             encode: settings.encode.clone(),
             limits: Limits::default(),
             places: None,
@@ -161,8 +163,8 @@ impl Worker {
         } else {
             *sha256 = Some(digest_of(path).map_err(|error| told(&error))?);
         }
-        let source = open(path, &OpenOptions::default().with_limits(self.limits.clone()))
-            .map_err(|error| told(&error))?;
+        let opening = OpenOptions::default().with_limits(self.limits.clone()).with_part(self.part);
+        let source = open(path, &opening).map_err(|error| told(&error))?;
         let tracked = track_clip(source, None, &self.track, &mut ()).map_err(|error| told(&error))?;
         let clip = PoseClip { header: tracked.header(), frames: tracked.poses() };
         let shortfall = tracked.shortfall;

@@ -11,15 +11,32 @@ const STRIP: Module = ("strip", include_str!("page/strip.js"));
 const SHARPNESS: Module = ("sharpness", include_str!("page/sharpness.js"));
 const DECODING: Module = ("handcast", handcast_js::SCRIPT);
 
+/// What the page has where those who come may send, and where the room's machine alone does.
+const SENDING: [[&str; 2]; 2] = [
+    [
+        r#"<button id="send" type="button" aria-pressed="false" disabled>"#,
+        r#"<button id="send" type="button" aria-pressed="false" disabled hidden>"#,
+    ],
+    [
+        r#"<p id="send-now" class="readout" role="status"></p>"#,
+        r#"<p id="send-now" class="readout" role="status">In this room its host alone sends.</p>"#,
+    ],
+];
+
 /// The page's files: the decoder and the skin as WebAssembly, its scripts, its style. What shows the first hand comes in few
-/// files, asked for at once; what sends hands is asked for when somebody sends.
-pub fn parts() -> Vec<Part> {
+/// files, asked for at once; what sends hands is asked for when somebody sends. Where those who come may not send
+/// (`senders`, as in [`ServerOptions::senders`](crate::server::ServerOptions::senders)) the page says so and offers no button.
+pub fn parts(senders: bool) -> Vec<Part> {
     const SCRIPT: &str = "text/javascript; charset=utf-8";
     const WASM: &str = "application/wasm";
     let app = [handcast_js::DRAWING, include_str!("page/sketch.js"), include_str!("page/app.js")].concat();
     let style = [handcast_js::STYLE, include_str!("page/live.css")].concat();
+    let mut page = include_str!("page/page.html").to_owned();
+    if !senders {
+        SENDING.iter().for_each(|[offered, told]| page = page.replace(offered, told));
+    }
     vec![
-        Part::new("", "text/html; charset=utf-8", include_str!("page/page.html")),
+        Part::new("", "text/html; charset=utf-8", page),
         Part::new("live.css", "text/css; charset=utf-8", style),
         Part::new("live.js", SCRIPT, joined(&[WIRE, ROOM, STRIP, SHARPNESS, DECODING], &app)),
         Part::new("link.js", SCRIPT, joined(&[WIRE, ROOM], include_str!("page/link.js"))),
@@ -92,8 +109,22 @@ mod tests {
     }
 
     #[test]
+    fn the_page_of_a_host_who_sends_alone_offers_no_button() {
+        let page = |senders| {
+            let parts = parts(senders);
+            String::from_utf8_lossy(&parts[0].bytes).into_owned()
+        };
+        assert_eq!(page(true), include_str!("page/page.html"));
+        for [offered, told] in SENDING {
+            assert!(
+                page(true).contains(offered) && page(false).contains(told) && !page(false).contains(offered)
+            );
+        }
+    }
+
+    #[test]
     fn what_shows_the_first_hand_is_asked_for_at_once() {
-        let parts = parts();
+        let parts = parts(true);
         let text = |name: &str| {
             let part = parts.iter().find(|part| part.name == name).unwrap_or_else(|| panic!("{name}"));
             String::from_utf8_lossy(&part.bytes).into_owned()

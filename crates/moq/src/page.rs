@@ -36,7 +36,7 @@ impl Place<'_> {
         let modules = ["moq-net", "freshness", "place", "wire", "room", "link"]
             .map(|name| FIRST_MODULE.replace("link.js", &format!("{name}.js")));
         let modules = modules.join("\n");
-        let mut parts = parts();
+        let mut parts = parts(true);
         for part in &mut parts {
             match part.name.as_ref() {
                 "" => {

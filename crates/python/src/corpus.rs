@@ -23,6 +23,13 @@ fn settings_of(text: &str) -> PyResult<Settings> {
         check_hand_length(track.hand_length)?;
         check_fov("field_of_view", track.field_of_view)?;
         track.smooth.map(check_smooth).transpose()?;
+        let part = track.part();
+        if part.from.is_nan() || part.from < 0.0 || part.until <= part.from {
+            let (from, until) = (part.from, part.until);
+            return Err(Error::new_err(format!(
+                "until is {until}, allowed is more than from, which is {from}"
+            )));
+        }
         track.person.as_ref().map_or(Ok(()), |person| person.morphology.validate()).map_err(|e| wrong(&e))?;
         check_intra("intra_seconds", encode.intra_seconds)?;
         check_gap("max_gap", encode.max_gap)?;

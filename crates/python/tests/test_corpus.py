@@ -136,6 +136,7 @@ class Corpus(InFolder):
         for settings, word in (
             ({"track": {"field_of_view": 1000}}, "field_of_view is 1000"),
             ({"track": {"hand_length": 189}}, "hand_length is 189"),
+            ({"track": {"from": 2, "until": 1}}, "until is 1"),
             ({"encode": {"aim": {"bitrate": float("nan")}}}, "JSON"),
             ({"encode": {"aim": {"quant": 99}}}, "quant is 99"),
             ({"encode": {"intra_seconds": 0}}, "intra_seconds is 0"),

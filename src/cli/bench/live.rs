@@ -261,7 +261,7 @@ fn server() -> anyhow::Result<Server> {
     let hour = Duration::from_secs(3600);
     // Readers that only read are not taken for gone.
     let options = ServerOptions::new("127.0.0.1:0".parse()?)
-        .with_parts(page::parts())
+        .with_parts(page::parts(true))
         .with_times(Duration::from_secs(5), hour);
     Ok(Server::start(options)?)
 }

@@ -135,7 +135,8 @@ pub struct Divergence {
     pub side: Side,
     /// Name of the joint angle, `wrist_rotation` or `wrist_position`.
     pub joint: String,
-    /// Number of the instant among all of the first motion, or of the second where the first is interpolated.
+    /// Number of the instant among all of the first motion, or of the second where the first is interpolated, or has several
+    /// ticks to a frame of the second.
     pub frame: usize,
     /// Seconds from the first frame.
     pub time: f64,
@@ -184,6 +185,9 @@ pub struct Comparison {
     pub interpolated: bool,
     /// Which of them was, since its times are uneven and those of the other are not.
     pub uneven: [bool; 2],
+    /// Which of them has the rate of the stream that the other is sent as, with several ticks to a frame, since no stream has
+    /// its own: they are compared at the times of the other.
+    pub carrier: [bool; 2],
     /// Joint angles left out because one of the motions does not tell them.
     pub left_out: Vec<String>,
     /// The first instant above the tolerance.
@@ -223,7 +227,8 @@ pub(super) const SAME_TIME: f64 = 1e-3;
 /// first seen at different times, and at the same time if both are counted from the first frame of any, or one of them from 0,
 /// they are.
 ///
-/// At the same rate each frame is compared with the nearest of the other motion, at most half an interval away; at
+/// At the same rate each frame is compared with the nearest of the other motion, at most half an interval away, and so is each
+/// frame with the nearest tick of a stream that has several of them to a frame, as no stream has the frames' rate; at
 /// different rates, or where one is keyed, the second is interpolated at the instants of the first (of the one that is
 /// not keyed; of two keyed ones at the keys of both). One whose times are uneven beside even ones is interpolated at those, as
 /// an encoder does, unless they are nearer without, as where a format without times took its poses over. Lost frames are not
@@ -262,6 +267,11 @@ fn paired(
     same_rate: bool,
     uneven: [bool; 2],
 ) -> Comparison {
+    let carrier = match (extents[0].rate, extents[1].rate) {
+        (Some(one), Some(other)) if !same_rate => [carries(one, other), carries(other, one)],
+        _ => [false; 2],
+    };
+    let nearest = same_rate || carrier.contains(&true);
     let mut out = Comparison {
         tolerance_deg: options.tolerance_deg,
         motions: extents,
@@ -271,23 +281,24 @@ fn paired(
         lost_in_other: [0, 0],
         rates_differ: match (extents[0].rate, extents[1].rate) {
             (Some(one), Some(other)) => {
-                let carried = carries(one, other) || carries(other, one);
-                let near = same_rate || carried || (one - other).abs() <= SAME_RATE;
+                let near = nearest || (one - other).abs() <= SAME_RATE;
                 !near && !at_same_instants([a, b], extents)
             }
             _ => false,
         },
-        interpolated: !same_rate || uneven.contains(&true),
+        interpolated: !nearest || uneven.contains(&true),
         uneven,
+        carrier,
         left_out: Vec::new(),
         first_divergence: None,
     };
     let left_out = JointAngle::ALL.into_iter().filter(|angle| !options.angles.contains(angle));
     out.left_out = left_out.map(|angle| angle.name().to_owned()).collect();
     // Frames are counted over all hands.
-    let instants = instants(if extents[0].rate.is_none() || uneven[0] { b } else { a });
+    let instants = instants(if extents[0].rate.is_none() || uneven[0] || carrier[0] { b } else { a });
     for side in [Side::Left, Side::Right] {
-        let kind = |k: usize| Kind { same_rate, uneven: uneven[k], bridges: options.bridged[k] };
+        let kind =
+            |k: usize| Kind { nearest, uneven: uneven[k], carries: carrier[k], bridges: options.bridged[k] };
         let track = |clip, k: usize| Track::new(clip, side, extents[k], kind(k));
         let tracks = [track(a, 0), track(b, 1)];
         match [tracks[0].poses.is_empty(), tracks[1].poses.is_empty()] {
@@ -608,6 +619,35 @@ mod tests {
         }
         let found = compare(&recorded, &recorded, &CompareOptions::default());
         assert_eq!((found.uneven, found.interpolated, found.max_deg()), ([false; 2], false, 0.0));
+    }
+
+    /// A stream of a rate that none has holds each frame for some ticks.
+    #[test]
+    fn frames_are_compared_with_their_own_ticks() {
+        for rate in [6.67, 20.0 / 3.0, 9.09, 100.0 / 11.0] {
+            let poses = clip(Side::Right, rate, 60, |t| 50.0 * (3.0 * t).sin());
+            let (carried, ticks) = FrameRate::carrying(rate).unwrap();
+            let tick = carried.per_second().recip();
+            assert!(ticks > 1);
+            let header = PoseHeader::one(Side::Right, None, Some(carried.per_second()));
+            let mut held = PoseClip { header, frames: Vec::new() };
+            for number in 0..60 * ticks as usize {
+                let time = number as f64 * tick;
+                let frame = poses.frames.iter().rfind(|frame| frame.time < time + 0.5 * tick).unwrap();
+                held.frames.push(TimedPose { time, ..frame.clone() });
+            }
+            for [a, b] in [[&held, &poses], [&poses, &held]] {
+                let found = compare(a, b, &CompareOptions::default());
+                assert!(found.max_deg() < 1e-9 && found.is_complete(), "{rate}: {found:?}");
+                assert_eq!((found.hands[0].frames, found.interpolated), (60, false));
+                assert!(found.carrier.contains(&true));
+            }
+            let mut off = held.clone();
+            let wrong = &mut off.frames[20 * ticks as usize].pose;
+            wrong.set(BEND, wrong.angle(BEND) + 0.2);
+            let found = compare(&off, &poses, &CompareOptions::default()).first_divergence.unwrap();
+            assert_eq!((found.frame, found.joint.as_str()), (20, "index2_flexion"));
+        }
     }
 
     #[test]

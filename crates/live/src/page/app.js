@@ -408,7 +408,9 @@ if (wish.has("buffer")) {
 }
 // This browser's camera, once somebody has sent from it.
 let own = { on: false };
-if (navigator.mediaDevices?.getUserMedia) {
+if (element("send").hidden) {
+  // The page of a room whose host alone sends has said so.
+} else if (navigator.mediaDevices?.getUserMedia) {
   element("send").disabled = false;
 } else {
   write("send-now", isSecureContext ? "This browser gives no camera." : "A camera needs https: the room is to be opened with --tls.");

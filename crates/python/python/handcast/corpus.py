@@ -205,6 +205,8 @@ def _arguments(words: Sequence[str] | None) -> argparse.Namespace:
     track.add_argument("--person", metavar="FILE")
     track.add_argument("--hand-length-mm", type=_within(50, 400, "mm"), metavar="MM")
     track.add_argument("--fov", type=_within(5, 150, "degrees"), metavar="DEG")
+    track.add_argument("--from", dest="begin", type=_within(0, 1e6, "s"), metavar="S", help="begin at this time of each clip, seconds")
+    track.add_argument("--until", type=_within(0, 1e6, "s"), metavar="S", help="end before the picture at this time of each clip")
     nets = track.add_mutually_exclusive_group()
     nets.add_argument(
         "--net", metavar="FILE", help="MediaPipe's networks, which all workers see; else $HANDCAST_NET, or where pip and npm put them"
@@ -233,6 +235,8 @@ def _settings(args: argparse.Namespace) -> dict[str, Any]:
         "person": json.loads(read_person(args.person)) if args.person else None,
         "hand_length": args.hand_length_mm and args.hand_length_mm / 1000,
         "field_of_view": args.fov,
+        "from": args.begin,
+        "until": args.until,
     }
     encode = {
         "aim": args.aim,

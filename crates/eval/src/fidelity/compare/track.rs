@@ -16,6 +16,8 @@ pub(super) struct Track<'a> {
     keyed: bool,
     /// Whether its times are uneven beside the other motion's even ones.
     uneven: bool,
+    /// Whether it has several ticks to a frame of the other motion.
+    carries: bool,
     /// Whether it is interpolated at an instant, and not the nearest pose taken.
     interpolated: bool,
     /// Whether it has poses where a hand is lost, too, since its format cannot say so.
@@ -25,10 +27,12 @@ pub(super) struct Track<'a> {
 /// What one of two motions is, as the other sees it.
 #[derive(Clone, Copy)]
 pub(super) struct Kind {
-    /// Whether both have the same rate.
-    pub same_rate: bool,
+    /// Whether the frames of one are those of the other: at the same rate, or at one that carries the other's.
+    pub nearest: bool,
     /// Whether its times are uneven beside the other's even ones.
     pub uneven: bool,
+    /// Whether it has several ticks to a frame of the other.
+    pub carries: bool,
     /// Whether it has poses where a hand is lost, too.
     pub bridges: bool,
 }
@@ -62,14 +66,15 @@ impl<'a> Track<'a> {
             slack,
             keyed: extent.rate.is_none(),
             uneven: kind.uneven,
-            interpolated: kind.uneven || !kind.same_rate,
+            carries: kind.carries,
+            interpolated: kind.uneven || !kind.nearest,
             bridges: kind.bridges,
         }
     }
 
-    /// Whether it is interpolated at the instants of another motion that is not.
+    /// Whether the instants that count are those of another motion that does not follow.
     pub(super) fn follows(&self) -> bool {
-        self.keyed || self.uneven
+        self.keyed || self.uneven || self.carries
     }
 
     pub(super) fn time(&self, index: usize) -> f64 {
@@ -190,9 +195,11 @@ impl<'a> Track<'a> {
             let same = |(a, b): (&&TimedPose, &&TimedPose)| a.valid == b.valid && a.pose == b.pose;
             in_gap(self.time(i)) && before.zip(self.poses.get(i)).is_some_and(same)
         };
-        // Ticks end before the last of uneven times.
-        let near =
-            |time: f64| self.uneven && matches!(other.at(time - self.slack), Found::Pose(_) | Found::Lost);
+        // Ticks end before the last of uneven times, and those of a frame behind its middle.
+        let back = if self.carries { other.slack } else { self.slack };
+        let near = |time: f64| {
+            (self.uneven || self.carries) && matches!(other.at(time - back), Found::Pose(_) | Found::Lost)
+        };
         let nothing = |time: f64| matches!(other.at(time), Found::Nothing) && !near(time);
         for (i, timed) in self.poses.iter().enumerate().filter(|(_, timed)| timed.valid) {
             let time = self.time(i);
