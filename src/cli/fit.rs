@@ -47,8 +47,6 @@ pub struct Args {
     /// Number of the frame, from 0, when the input is a clip; with --from counted from there
     #[arg(long, value_name = "N", default_value_t = 0)]
     frame: usize,
-    #[command(flatten)]
-    part: PartArgs,
     /// Folder for a picture of each stage, and fit.png with all of them
     #[arg(long, value_name = "DIR")]
     debug: Option<PathBuf>,
@@ -58,6 +56,8 @@ pub struct Args {
     /// Neither progress nor report; warnings are told all the same
     #[arg(short, long)]
     quiet: bool,
+    #[command(flatten)]
+    part: PartArgs,
 }
 
 /// Runs the subcommand.

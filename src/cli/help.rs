@@ -70,7 +70,6 @@ handcast run clip.mp4 -o out --net mediapipe-0.10.21-*.whl",
 handcast encode poses.jsonl -o hand.fba --bitrate 1.5
 handcast encode hand.bvh -o hand.fba --max-error 3mm
 handcast encode poses.jsonl -o hand.mp4 --clip clip.mp4
-handcast encode hand.mp4 -o hand.fba --copy  # the stream as it is, not coded anew
 handcast track clip.mp4 -o - | handcast encode - --live -o hand.fba",
     ),
     (

@@ -19,6 +19,7 @@ use super::common::ending;
 /// Pictures that may wait for the writer.
 const AHEAD: usize = 8;
 /// Shortest time that a picture of a film is shown, seconds.
+#[cfg(feature = "h264")]
 const SHORTEST: f64 = 0.001;
 /// Longest time, seconds, for which a picture is written again and again, as an .avi has it, and for which the last one is shown,
 /// whose time nothing tells.
