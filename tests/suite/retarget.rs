@@ -947,6 +947,23 @@ fn tolerances_are_metres_of_the_world_at_any_scale() {
     }
 }
 
+/// Without a skin nodes tell how the hand rests, and the motion which one it is.
+#[test]
+fn motions_without_mesh_or_origin_are_read_back() {
+    for side in [Side::Left, Side::Right] {
+        let mut clip = clip(&[side], 60);
+        // It begins with a fist.
+        clip.hands[0].poses[0].1.angles[JointAngle::Index2Flexion.index()] = 1.7;
+        clip.hands[0].poses[0].1.angles[JointAngle::Middle2Flexion.index()] = 1.7;
+        let mut options = ExportOptions::default();
+        options.animation_only = true;
+        let found = read(&stripped(&export(&clip, &options).unwrap()));
+        assert_eq!(found.hands[0].side, side);
+        let off = worst(&clip, &found.hands);
+        assert!(off < 0.02, "{side:?}: {off}°");
+    }
+}
+
 #[test]
 fn wrists_move_in_the_unit_that_the_rig_is_made_in() {
     let clip = clip(&[Side::Right], 60);

@@ -201,7 +201,7 @@ pub fn check_rig(
     limits: &Limits,
 ) -> Result<CheckedRig, GltfError> {
     let document = RigDocument::read(rig, folder, limits)?;
-    let (hands, found) = find(&document, map)?;
+    let (hands, found) = find(&document, map, &|_| Vec::new())?;
     let notes = notes(&document, &hands.iter().collect::<Vec<_>>(), found);
     Ok(CheckedRig { sides: hands.iter().map(|hand| hand.side).collect(), notes })
 }
@@ -248,7 +248,7 @@ pub fn retarget(
 ) -> Result<Retargeted, GltfError> {
     let sides = check_clip(clip)?;
     let mut document = RigDocument::read(rig, folder, &options.limits)?;
-    let (hands, found) = find(&document, map)?;
+    let (hands, found) = find(&document, map, &|_| Vec::new())?;
     let mut writer = Writer::new(String::new());
     let mut channels = Channels::new(options);
     let mut facts = facts(clip, &sides, options);

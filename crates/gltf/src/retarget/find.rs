@@ -9,7 +9,7 @@ use super::document::RigDocument;
 use super::hand::RigHand;
 use super::{JointMap, RigError, body};
 use crate::names::{Reading, readings};
-use handcast_hand::landmarks::tell_side;
+use handcast_hand::landmarks::{JointPoints, tell_side};
 use handcast_hand::{Finger, Joint, Morphology, Side};
 use handcast_limits::quoted;
 
@@ -76,10 +76,12 @@ fn best(document: &RigDocument, claims: &[(Claim, usize)], joint: &str) -> Resul
     }
 }
 
-/// The hands of a rig, and what is worth saying of those that are none.
+/// The hands of a rig, and what is worth saying of those that are none. `shown` gives the joints of a hand in frames of its motion,
+/// where the file has one that is read: they may tell its side where the hand at rest does not.
 pub(super) fn find(
     document: &RigDocument,
     map: Option<&JointMap>,
+    shown: &dyn Fn(&Found) -> Vec<JointPoints>,
 ) -> Result<(Vec<RigHand>, Vec<String>), RigError> {
     let (bones, mut notes) = human_bones(&document.json, document.names.len());
     let found = match map {
@@ -99,7 +101,7 @@ pub(super) fn find(
             None => {
                 let side = match side {
                     Some(side) => side,
-                    None => untold_side(document, &group, map)?,
+                    None => untold_side(document, &group, map, shown)?,
                 };
                 hands.push(RigHand::new(document, side, group));
             }
@@ -237,7 +239,12 @@ fn lacking_thumb(group: &Found) -> Option<String> {
 
 /// The side of a hand whose names do not tell: from the wrist's `extras`, or the axes of WebXR (+Y out of the back of the hand) where
 /// the joints have them, else from where the joints lie.
-fn untold_side(document: &RigDocument, group: &Found, map: Option<&JointMap>) -> Result<Side, RigError> {
+fn untold_side(
+    document: &RigDocument,
+    group: &Found,
+    map: Option<&JointMap>,
+    shown: &dyn Fn(&Found) -> Vec<JointPoints>,
+) -> Result<Side, RigError> {
     if let Some(side) = map.and_then(|m| m.hand) {
         return Ok(side);
     }
@@ -270,9 +277,11 @@ fn untold_side(document: &RigDocument, group: &Found, map: Option<&JointMap>) ->
         position(Joint::Wrist).zip(position(Joint::MiddleProximal)).map_or(0.0, |(a, b)| (b - a).norm());
     let mean = Morphology::default().finger(Finger::Middle).base_vector().norm();
     let metres = if palm > 1e-9 { mean / palm } else { 1.0 };
-    let points = std::array::from_fn(|i| position(Joint::ALL[i]).map(|at| (at * metres).into()));
-    match tell_side(&[points]) {
-        Ok(trial) if trial.ratio() >= TELLING => Ok(trial.side()),
-        _ => Err(RigError::NoSide),
-    }
+    let tell = |frames: &[JointPoints]| {
+        let scaled = |points: &JointPoints| points.map(|point| point.map(|at| at * metres));
+        let trial = tell_side(&frames.iter().map(scaled).collect::<Vec<_>>()).ok()?;
+        (trial.ratio() >= TELLING).then(|| trial.side())
+    };
+    let still = std::array::from_fn(|i| position(Joint::ALL[i]).map(Into::into));
+    tell(&[still]).or_else(|| tell(&shown(group))).ok_or(RigError::NoSide)
 }

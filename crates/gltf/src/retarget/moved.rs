@@ -17,6 +17,7 @@ use crate::GltfError;
 use crate::import::{Facts, ImportedHand};
 use crate::source::Source;
 use crate::tracks::{NodeTrack, Tracks, moving, read_tracks};
+use handcast_hand::landmarks::JointPoints;
 use handcast_hand::turns::PosesFromTurns;
 use handcast_hand::{Finger, HandFrames, HandPose, Joint, Morphology, Skeleton};
 use handcast_limits::Limits;
@@ -30,6 +31,8 @@ const RIG_BODY: &str = "body";
 const CAMERA: f64 = 1.5;
 /// How far off rotations may be that are told against the mean hand's palm, radians.
 const UNLIKE: f64 = 0.5 * std::f64::consts::PI / 180.0;
+/// In how many frames of a motion the side of a hand is looked for.
+const SHOWN: usize = 32;
 /// Places that stay this close to one another are one, metres.
 const AT_REST: f64 = 1e-5;
 
@@ -136,7 +139,7 @@ impl<'a> MovedRig<'a> {
         facts: &Facts,
         limits: &Limits,
     ) -> Result<FoundPoses, GltfError> {
-        let (hands, mut notes) = find(&self.document, map)?;
+        let (hands, mut notes) = find(&self.document, map, &|group| self.shown(group, limits))?;
         // Who moved it had it as it is bound; ours are moved from where nodes stand.
         self.document = self.document.at_bound_rest(self.source, &hands);
         let mut moved = Vec::new();
@@ -169,6 +172,56 @@ impl<'a> MovedRig<'a> {
         nodes.into_iter().flat_map(|node| std::iter::successors(Some(node), up)).collect()
     }
 
+    /// Where all nodes are in the world, time by time.
+    fn play(
+        &self,
+        nodes: &[usize],
+        tracks: &Tracks,
+        times: &[f64],
+        mut seen: impl FnMut(f64, &[Similarity3<f64>]),
+    ) -> Result<(), GltfError> {
+        let document = &self.document;
+        let mut track_of: Vec<Option<&NodeTrack>> = vec![None; document.names.len()];
+        nodes.iter().zip(&tracks.nodes).for_each(|(&node, track)| track_of[node] = Some(track));
+        let order: Vec<usize> =
+            document.order.iter().copied().filter(|&node| track_of[node].is_some()).collect();
+        let mut world = document.world.clone();
+        for &time in times {
+            for &node in &order {
+                let rest = &document.locals[node];
+                let here = track_of[node].map_or(*rest, |track| track.at(rest, time));
+                world[node] = match document.parents[node] {
+                    Some(above) => placed(&world[above], &here).ok_or_else(|| vanishing(node))?,
+                    None => here,
+                };
+            }
+            seen(time, &world);
+        }
+        Ok(())
+    }
+
+    /// Where the joints of a hand are in some frames of the motion; none where it has none that can be read.
+    fn shown(&self, group: &Found, limits: &Limits) -> Vec<JointPoints> {
+        let mut shown = Vec::new();
+        let mut show = || -> Result<(), GltfError> {
+            let joints: BTreeSet<usize> = group.joints.iter().copied().flatten().collect();
+            let nodes = self.and_above(joints.iter().copied());
+            let (animation, _) = moving(&self.source.document, &joints, &nodes)?;
+            let nodes: Vec<usize> = nodes.into_iter().collect();
+            let tracks = read_tracks(&animation, &self.source.bytes, &nodes, limits)?;
+            let every = tracks.times.len().div_ceil(SHOWN).max(1);
+            let times: Vec<f64> = tracks.times.iter().copied().step_by(every).collect();
+            self.play(&nodes, &tracks, &times, |_, world| {
+                let at = |node: usize| world[node].isometry.translation.vector.into();
+                shown.push(group.joints.map(|node| node.map(at)));
+            })
+        };
+        if show().is_err() {
+            shown.clear();
+        }
+        shown
+    }
+
     fn poses(
         &self,
         hands: &[MovedHand],
@@ -182,26 +235,13 @@ impl<'a> MovedRig<'a> {
         for (node, track) in nodes.iter().zip(&tracks.nodes).filter(|(node, _)| above.contains(node)) {
             track.check_scales(*node, &document.names[*node])?;
         }
-        let mut track_of: Vec<Option<&NodeTrack>> = vec![None; document.names.len()];
-        nodes.iter().zip(&tracks.nodes).for_each(|(&node, track)| track_of[node] = Some(track));
-        let order: Vec<usize> =
-            document.order.iter().copied().filter(|&node| track_of[node].is_some()).collect();
         let mut readers: Vec<PosesFromTurns> = hands.iter().map(MovedHand::reader).collect();
         let mut poses: Vec<Vec<(f64, HandPose)>> = vec![Vec::with_capacity(times.len()); hands.len()];
-        let mut world = document.world.clone();
-        for &time in times {
-            for &node in &order {
-                let rest = &document.locals[node];
-                let here = track_of[node].map_or(*rest, |track| track.at(rest, time));
-                world[node] = match document.parents[node] {
-                    Some(above) => placed(&world[above], &here).ok_or_else(|| vanishing(node))?,
-                    None => here,
-                };
-            }
+        self.play(nodes, tracks, times, |time, world| {
             for ((hand, reader), poses) in hands.iter().zip(&mut readers).zip(&mut poses) {
-                poses.push((time, hand.pose(document, reader, &world)));
+                poses.push((time, hand.pose(document, reader, world)));
             }
-        }
+        })?;
         let moves = |poses: &[(f64, HandPose)]| {
             poses.iter().any(|(_, pose)| (pose.translation - poses[0].1.translation).norm() > AT_REST)
         };
