@@ -30,7 +30,7 @@ const RIG_BODY: &str = "body";
 /// How far before the hips of a body the camera stands, metres.
 const CAMERA: f64 = 1.5;
 /// How far off rotations may be that are told against the mean hand's palm, radians.
-const UNLIKE: f64 = 0.5 * std::f64::consts::PI / 180.0;
+const UNLIKE: f64 = 1.5 * std::f64::consts::PI / 180.0;
 /// In how many frames of a motion the side of a hand is looked for.
 const SHOWN: usize = 32;
 /// Places that stay this close to one another are one, metres.
