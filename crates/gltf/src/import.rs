@@ -221,12 +221,8 @@ fn turns_of(
     let axes = NodeAxes::of_name(name).ok_or_else(|| GltfError::Unsupported {
         what: format!("the wrist's extras.axes is {}, allowed bones, webxr", told.unwrap_or_default()),
     })?;
-    Ok(match (axes, morphology) {
-        (NodeAxes::WebXr, _) => Some(axes.turns(&Morphology::default(), side)),
-        (NodeAxes::Bones, Some(sizes)) => Some(axes.turns(sizes, side)),
-        // The direction of a metacarpal is the person's.
-        (NodeAxes::Bones, None) => None,
-    })
+    // The direction of a metacarpal is the person's.
+    Ok(morphology.map(|sizes| axes.turns(sizes, side)))
 }
 
 /// What `asset.extras` tells.
