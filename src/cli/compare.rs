@@ -18,7 +18,7 @@ use super::usage::within;
 /// Exit code 0 when no joint is further off than its tolerance and both have the same hands and frames, at the same rate;
 /// 1 when not, or when a file cannot be read. A frame in which one has the hand lost is missing there, but for what a
 /// stream, or another format that cannot say so, holds in its place. Each motion counts from its own first frame; where one of
-/// them has no lost frames, from where a hand is first seen in both.
+/// them has no lost frames, from where a hand is first seen in both; with --same-clock both count from the same instant.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// First motion: .fba, .bap, .glb, .gltf, .bvh, .jsonl, .json, .csv, .webxr.json, .landmarks.jsonl, .pose
@@ -37,6 +37,9 @@ pub struct Args {
     /// Frames or hands that only one of them has do not matter, nor do rates that differ
     #[arg(long)]
     partial: bool,
+    /// Times of both count from the same instant, as those of a clip and of a part of it do (`track --from`)
+    #[arg(long)]
+    same_clock: bool,
     /// Print everything as JSON
     #[arg(long)]
     json: bool,
@@ -94,6 +97,7 @@ pub fn run(args: &Args) -> anyhow::Result<ExitCode> {
     let mut options = CompareOptions::of(&a, &b).with_tolerance(args.tolerance);
     options.wrist_tolerance_deg = args.wrist_tolerance.unwrap_or(options.wrist_tolerance_deg);
     options.wrist_tolerance_mm = args.position_tolerance.unwrap_or(options.wrist_tolerance_mm);
+    options.same_clock = args.same_clock;
     let has_hands = |motion: &Motion| !motion.clip.frames.is_empty();
     let poses = (has_hands(&a) && has_hands(&b)).then(|| compare(&a.clip, &b.clip, &options));
     let baps = a.baps.as_ref().zip(b.baps.as_ref()).map(|(a, b)| compare_baps(a, b));
@@ -179,7 +183,11 @@ fn print_poses(files: [(&str, &Motion); 2], found: &Comparison) {
         outln!("note: frame counts differ, {} and {}", a.frames, b.frames);
     }
     if (a.start - b.start).abs() > 1e-3 {
-        outln!("note: A starts at {:.3} s, B at {:.3} s: both are counted from there", a.start, b.start);
+        outln!(
+            "note: A starts at {:.3} s, B at {:.3} s: both are counted from there (--same-clock: from the same instant)",
+            a.start,
+            b.start
+        );
     }
     for (letter, other, k) in [("A", "B", 0), ("B", "A", 1)] {
         let lost = found.lost_in_other[k];

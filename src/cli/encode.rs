@@ -142,7 +142,8 @@ fn encode(args: &Args) -> anyhow::Result<()> {
              others, decode it to poses first (decode --steps)"
         );
     }
-    let start = start_of(&motion.clip, args);
+    // In an MP4 file times count from where its pictures and sounds begin, which its first picture may come behind.
+    let start = (start_of(&motion.clip, args) - pictures_start_at(&bytes)).max(0.0);
     let coded = match &motion.baps {
         Some(baps) => {
             given::note_idle(

@@ -38,6 +38,9 @@ pub struct CompareOptions {
     /// Of each motion, whether it has poses where a hand is lost, too, held or interpolated ones, since its format cannot
     /// say that it is.
     pub bridged: [bool; 2],
+    /// Whether times of both count from the same instant, as those of a clip and of a part of it do, not each from its own first
+    /// frame.
+    pub same_clock: bool,
     /// Whether the first motion is what the second should be, so that it alone tells which joint angles are ever other
     /// than 0.
     pub reference: bool,
@@ -54,6 +57,7 @@ impl Default for CompareOptions {
             placed: true,
             keyed: [false; 2],
             bridged: [false; 2],
+            same_clock: false,
             reference: false,
         }
     }
@@ -223,7 +227,8 @@ const SAME_RATE: f64 = 1.0 / 32.0 + 1e-9;
 /// Seconds that times of one instant differ by at most in files of single precision.
 pub(super) const SAME_TIME: f64 = 1e-3;
 
-/// Compares the poses of `a` and `b`, each counted from its own first frame. Some files have no lost frames: where a hand is then
+/// Compares the poses of `a` and `b`, each counted from its own first frame unless they have the
+/// [same clock](CompareOptions::same_clock). Some files have no lost frames: where a hand is then
 /// first seen at different times, and at the same time if both are counted from the first frame of any, or one of them from 0,
 /// they are.
 ///
@@ -235,7 +240,8 @@ pub(super) const SAME_TIME: f64 = 1e-3;
 /// compared; where the other motion has the hand they count as unmatched in that one.
 pub fn compare(a: &PoseClip, b: &PoseClip, options: &CompareOptions) -> Comparison {
     let mut extents = [extent(a, options.keyed[0]), extent(b, options.keyed[1])];
-    let origins = origins([a, b], extents.map(|extent| extent.start));
+    let starts = extents.map(|extent| extent.start);
+    let origins = if options.same_clock { [starts[0].min(starts[1]); 2] } else { origins([a, b], starts) };
     extents.iter_mut().zip(origins).for_each(|(extent, origin)| extent.start = origin);
     let same_rate = match (extents[0].rate, extents[1].rate) {
         (Some(one), Some(other)) => (one / other - 1.0).abs() < 2e-3,
@@ -861,6 +867,19 @@ mod tests {
         let found = compare(&ramp(60), &late, &CompareOptions::default());
         assert!(found.max_deg() < 1e-9 && found.is_complete());
         assert!((found.motions[1].start - 7.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn a_part_has_the_clock_of_the_whole() {
+        let whole = ramp(60);
+        let part = PoseClip { frames: whole.frames[20..40].to_vec(), ..whole.clone() };
+        let options = CompareOptions { same_clock: true, ..CompareOptions::default() };
+        for (a, b, more) in [(&whole, &part, [40, 0]), (&part, &whole, [0, 40])] {
+            let found = compare(a, b, &options);
+            assert_eq!((found.hands[0].frames, found.unmatched_frames), (20, more));
+            assert!(found.max_deg() < 1e-9, "{found:?}");
+        }
+        assert!(compare(&whole, &part, &CompareOptions::default()).max_deg() > 1.0);
     }
 
     #[test]
