@@ -1,6 +1,6 @@
 //! Arguments and small jobs that several subcommands share.
 
-use std::io::{BufRead, BufReader};
+use std::io::{BufRead, BufReader, IsTerminal as _};
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 use std::time::Duration;
@@ -473,7 +473,6 @@ pub fn open_input(path: &Path) -> anyhow::Result<Box<dyn BufRead>> {
 
 /// A bar for so many frames on standard error; hidden unless it is to be shown and that is a terminal.
 pub fn progress(show: bool, frames: Option<u64>) -> ProgressBar {
-    use std::io::IsTerminal as _;
     let show = show && std::io::stderr().is_terminal();
     let target = if show { ProgressDrawTarget::stderr() } else { ProgressDrawTarget::hidden() };
     ProgressBar::with_draw_target(frames, target)
@@ -530,6 +529,17 @@ pub fn told_name(path: &Path) -> String {
 pub fn counted<N: std::fmt::Display + PartialEq + From<u8>>(count: N, what: &str) -> String {
     let s = if count == N::from(1) { "" } else { "s" };
     format!("{count} {what}{s}")
+}
+
+/// Refuses to write `what`, which is no text, to a terminal.
+///
+/// # Errors
+/// The output is standard output, and that a terminal.
+pub fn check_terminal(output: &Path, what: &str) -> anyhow::Result<()> {
+    if output.as_os_str() == "-" && std::io::stdout().is_terminal() {
+        refuse!("{what} is no text for a terminal: name a file, or pass it on through a pipe");
+    }
+    Ok(())
 }
 
 /// The ending of a file name, in lower case.

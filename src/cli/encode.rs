@@ -1,7 +1,7 @@
 //! `handcast encode`: poses to an FBA stream.
 
 use std::error::Error;
-use std::io::{BufRead, Cursor, IsTerminal as _, Read as _, Write};
+use std::io::{BufRead, Cursor, Read as _, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
@@ -19,8 +19,8 @@ use handcast_formats::poses::PoseReader;
 use handcast_hand::{PoseClip, Side};
 
 use super::common::{
-    RateArgs, busy, check_seen, check_span, counted, ending, limits, open_input, read_input, read_piece,
-    told_kind, told_name, warn_of_uneven_times, write_output,
+    RateArgs, busy, check_seen, check_span, check_terminal, counted, ending, limits, open_input, read_input,
+    read_piece, told_kind, told_name, warn_of_uneven_times, write_output,
 };
 use super::given;
 use super::glb_out::read_map;
@@ -111,9 +111,7 @@ fn encode(args: &Args) -> anyhow::Result<()> {
     if let Some(other) = told_kind(&args.output, &["fba", "mp4"]) {
         refuse!("{}: a stream is no {other} file, allowed are .fba, .mp4 and -", args.output.display());
     }
-    if args.output.as_os_str() == "-" && std::io::stdout().is_terminal() {
-        refuse!("a stream is no text for a terminal: name a file, or pass it on through a pipe");
-    }
+    check_terminal(&args.output, "a stream")?;
     if args.clip.is_some() && ending(&args.output) != "mp4" {
         refuse!("--clip: a stream stands beside a clip in an .mp4 alone");
     }

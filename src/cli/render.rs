@@ -1,6 +1,6 @@
 //! `handcast render`: pictures of poses without a browser.
 
-use std::io::{IsTerminal as _, Write};
+use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail, ensure};
@@ -19,7 +19,9 @@ use image::codecs::webp::WebPEncoder;
 use image::{Delay, Frame, RgbaImage};
 use indicatif::{ProgressBar, ProgressStyle};
 
-use super::common::{Hand, busy, check_seen, ending, progress, told_name, write_output};
+use super::common::{
+    Hand, busy, check_seen, check_terminal, counted, ending, progress, told_name, write_output,
+};
 use super::motion::{Motion, MotionArgs};
 use super::poses_out::centre;
 
@@ -358,9 +360,7 @@ fn beside(all: &[Instant]) -> bool {
 pub fn run(args: &Args) -> anyhow::Result<()> {
     let piped = args.output.as_os_str() == "-";
     let extension = if piped { "png".to_owned() } else { ending(&args.output) };
-    if piped && std::io::stdout().is_terminal() {
-        refuse!("a picture is no text for a terminal: name a file, or pass it on through a pipe");
-    }
+    check_terminal(&args.output, "a picture")?;
     if !ENDINGS.contains(&extension.as_str()) {
         refuse!(
             "{}: cannot write this kind of picture, allowed are .{} and -{}",
@@ -419,7 +419,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     bar.finish_and_clear();
     let seconds = seconds?;
     if !args.quiet {
-        let pictures = if count == 1 { "1 picture".to_owned() } else { format!("{count} pictures") };
+        let pictures = counted(count as u64, "picture");
         let lasts = seconds.map_or_else(String::new, |seconds| format!(", {seconds:.1} s"));
         errln!("{}: {pictures}{lasts}", told_name(&args.output));
     }

@@ -233,16 +233,19 @@ fn a_broken_clip_is_a_line_and_the_others_are_done() {
     assert_eq!(names(&out.join("failures.jsonl")), [ODD]);
 }
 
+/// How many inputs a run has found done before, done, and failed at.
+fn counted(input: &Path, out: &Path, more: &[&str]) -> [u64; 3] {
+    done(&[&["corpus", path(input), "-o", path(out)], more].concat());
+    let run = report(out)["run"].clone();
+    ["before", "done", "failed"].map(|key| run[key].as_u64().unwrap())
+}
+
 #[test]
 fn a_part_of_each_clip_is_done_anew_with_other_bounds() {
     let dir = tempfile::tempdir().unwrap();
     let (input, out) = (dir.path().join("in"), dir.path().join("out"));
     inputs(&input, 2);
-    let run = |more: &[&str]| {
-        done(&[&["corpus", path(&input), "-o", path(&out)], more].concat());
-        let run = report(&out)["run"].clone();
-        ["before", "done", "failed"].map(|key| run[key].as_u64().unwrap())
-    };
+    let run = |more: &[&str]| counted(&input, &out, more);
     let seconds = |name: &str| {
         let lines = lines(&out.join("manifest.jsonl"));
         lines.iter().find(|line| line["name"] == name).unwrap()["seconds"].as_f64().unwrap()
@@ -276,11 +279,7 @@ fn what_has_changed_is_done_anew_and_nothing_else() {
     let dir = tempfile::tempdir().unwrap();
     let (input, out) = (dir.path().join("in"), dir.path().join("out"));
     inputs(&input, 1);
-    let run = |more: &[&str]| {
-        done(&[&["corpus", path(&input), "-o", path(&out)], more].concat());
-        let run = report(&out)["run"].clone();
-        ["before", "done", "failed"].map(|key| run[key].as_u64().unwrap())
-    };
+    let run = |more: &[&str]| counted(&input, &out, more);
     assert_eq!(run(&[]), [0, 4, 0]);
     let first = lines(&out.join("manifest.jsonl"));
     // Another time alone changes nothing but the line's time.

@@ -34,7 +34,8 @@ pub fn of_poses(clip: &PoseClip, profile: Profile, max_gap: f64) -> Vec<String> 
         hands_of(clip).into_iter().filter_map(|side| Absences::of(clip, side, max_gap)).collect();
     let lost = absences.iter().map(|hand| hand.lost).sum::<usize>();
     let lost = (lost > 0).then(|| {
-        format!("{lost} poses are of a lost hand: the last one seen is held, and the stream does not say so")
+        let poses = if lost == 1 { "1 pose is" } else { &format!("{lost} poses are") };
+        format!("{poses} of a lost hand: the last one seen is held, and the stream does not say so")
     });
     let bridged = absences.iter().map(|hand| hand.bridged).sum::<usize>();
     let bridged = (bridged > 0).then(|| {

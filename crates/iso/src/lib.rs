@@ -4,6 +4,7 @@
 //! or memory only when the bytes behind it are there.
 
 mod tables;
+pub mod testing;
 
 use thiserror::Error;
 
@@ -104,6 +105,11 @@ impl<'a> MediaBox<'a> {
     pub fn of(self, kind: &[u8; 4]) -> Option<&'a [u8]> {
         (&self.kind == kind).then_some(self.content)
     }
+}
+
+/// The bytes of a box of a type, of less than 4 GiB.
+pub fn boxed(kind: &[u8; 4], content: &[u8]) -> Vec<u8> {
+    [&(content.len() as u32 + 8).to_be_bytes()[..], kind, content].concat()
 }
 
 /// The outermost boxes of a file, the last of which may leave its size open. Behind the first damage there are none.

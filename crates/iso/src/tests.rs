@@ -1,18 +1,5 @@
+use super::testing::{table, words};
 use super::*;
-
-fn boxed(kind: &[u8; 4], content: &[u8]) -> Vec<u8> {
-    let size = (content.len() as u32 + 8).to_be_bytes();
-    [&size[..], kind, content].concat()
-}
-
-fn words(words: &[u32]) -> Vec<u8> {
-    words.iter().flat_map(|word| word.to_be_bytes()).collect()
-}
-
-/// A table: version and flags, then words.
-fn table(kind: &[u8; 4], rest: &[u32]) -> Vec<u8> {
-    boxed(kind, &words(&[&[0], rest].concat()))
-}
 
 /// A box whose size has 64 bits.
 fn wide(kind: &[u8; 4], content: &[u8]) -> Vec<u8> {

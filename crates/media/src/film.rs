@@ -262,11 +262,7 @@ fn byte(bytes: &[u8], at: usize) -> u8 {
 }
 
 fn boxed(kind: &[u8; 4], parts: &[&[u8]]) -> Vec<u8> {
-    let length = 8 + parts.iter().map(|part| part.len()).sum::<usize>();
-    let mut out = (length as u32).to_be_bytes().to_vec();
-    out.extend_from_slice(kind);
-    parts.iter().for_each(|part| out.extend_from_slice(part));
-    out
+    handcast_iso::boxed(kind, &parts.concat())
 }
 
 /// A box with a version, 0, and flags.

@@ -245,14 +245,15 @@ fn seam_of(clip: &TrackedClip, truth: Option<&PoseClip>) -> Result<TrackingSeam,
         let found = frame.pose.clone();
         let known = known_at(truth, time, side);
         let pose = if let Known::Pose(pose) = known { Some(pose) } else { None };
+        let visible = match known {
+            Known::Pose(pose) => Some(picture.shows(pose)),
+            Known::Absent => Some(false),
+            // Without any truth a hand is taken to be there.
+            Known::Nothing => truth.is_none().then_some(true),
+        };
         meter.add(&Observation {
             truth: pose,
-            visible: match known {
-                Known::Pose(pose) => Some(picture.shows(pose)),
-                Known::Absent => Some(false),
-                // Without any truth a hand is taken to be there.
-                Known::Nothing => truth.is_none().then_some(true),
-            },
+            visible,
             found: &found,
             valid: tracked.valid,
             iou: tracked.iou,
@@ -262,7 +263,8 @@ fn seam_of(clip: &TrackedClip, truth: Option<&PoseClip>) -> Result<TrackingSeam,
             seconds: clip.timings.frames.track.get(i).map_or(0.0, std::time::Duration::as_secs_f64),
         });
         frame_iou.push(tracked.iou);
-        if tracked.valid && tracked.iou > 0.0 {
+        // As the meter has it.
+        if tracked.valid && visible != Some(false) {
             worst_overlap.add(1.0 - tracked.iou, i, time);
         }
         if let Some(pose) = pose {

@@ -101,10 +101,7 @@ impl<'a> MovedRig<'a> {
             let hand = RigHand::of_nodes(&self.document, side, nodes, body_in(told))?;
             hands.push(MovedHand::new(&self.document, hand, facts.morphology(side))?);
         }
-        let nodes = self.and_above(joints(&hands));
-        let (animation, note) = moving(&self.source.document, &joints(&hands), &nodes)?;
-        let nodes: Vec<usize> = nodes.into_iter().collect();
-        let tracks = read_tracks(&animation, &self.source.bytes, &nodes, limits)?;
+        let (nodes, tracks, note) = self.tracks(&joints(&hands), limits)?;
         let times = tracks.times.clone();
         let mut found = self.poses(&hands, &nodes, &tracks, &times)?;
         found.notes.extend(note);
@@ -147,10 +144,7 @@ impl<'a> MovedRig<'a> {
             let sizes = facts.morphology(hand.side);
             moved.push(MovedHand::new(&self.document, hand, sizes)?);
         }
-        let nodes = self.and_above(joints(&moved));
-        let (animation, note) = moving(&self.source.document, &joints(&moved), &nodes)?;
-        let nodes: Vec<usize> = nodes.into_iter().collect();
-        let tracks = read_tracks(&animation, &self.source.bytes, &nodes, limits)?;
+        let (nodes, tracks, note) = self.tracks(&joints(&moved), limits)?;
         let (times, rate) = match facts.rate {
             Some(_) => (tracks.times.clone(), None),
             None => tracks.instants(limits)?,
@@ -170,6 +164,19 @@ impl<'a> MovedRig<'a> {
     fn and_above(&self, nodes: impl IntoIterator<Item = usize>) -> BTreeSet<usize> {
         let up = |node: &usize| self.document.parents[*node];
         nodes.into_iter().flat_map(|node| std::iter::successors(Some(node), up)).collect()
+    }
+
+    /// What moves these nodes and those above them, which are given, too, and what is worth saying of that.
+    fn tracks(
+        &self,
+        joints: &BTreeSet<usize>,
+        limits: &Limits,
+    ) -> Result<(Vec<usize>, Tracks, Option<String>), GltfError> {
+        let nodes = self.and_above(joints.iter().copied());
+        let (animation, note) = moving(&self.source.document, joints, &nodes)?;
+        let nodes: Vec<usize> = nodes.into_iter().collect();
+        let tracks = read_tracks(&animation, &self.source.bytes, &nodes, limits)?;
+        Ok((nodes, tracks, note))
     }
 
     /// Where all nodes are in the world, time by time.
@@ -205,10 +212,7 @@ impl<'a> MovedRig<'a> {
         let mut shown = Vec::new();
         let mut show = || -> Result<(), GltfError> {
             let joints: BTreeSet<usize> = group.joints.iter().copied().flatten().collect();
-            let nodes = self.and_above(joints.iter().copied());
-            let (animation, _) = moving(&self.source.document, &joints, &nodes)?;
-            let nodes: Vec<usize> = nodes.into_iter().collect();
-            let tracks = read_tracks(&animation, &self.source.bytes, &nodes, limits)?;
+            let (nodes, tracks, _) = self.tracks(&joints, limits)?;
             let every = tracks.times.len().div_ceil(SHOWN).max(1);
             let times: Vec<f64> = tracks.times.iter().copied().step_by(every).collect();
             self.play(&nodes, &tracks, &times, |_, world| {

@@ -1,19 +1,7 @@
 use super::*;
+use handcast_iso::boxed;
+use handcast_iso::testing::{table, words};
 use std::io::Cursor;
-
-fn boxed(kind: &[u8; 4], content: &[u8]) -> Vec<u8> {
-    let size = (content.len() as u32 + 8).to_be_bytes();
-    [&size[..], kind, content].concat()
-}
-
-fn words(words: &[u32]) -> Vec<u8> {
-    words.iter().flat_map(|word| word.to_be_bytes()).collect()
-}
-
-/// A table: version and flags, then words.
-fn table(kind: &[u8; 4], rest: &[u32]) -> Vec<u8> {
-    boxed(kind, &[words(&[0]), words(rest)].concat())
-}
 
 /// The tables of a track, each of which may be another one.
 struct Tables {
