@@ -236,9 +236,12 @@ fn input_hint(error: &anyhow::Error, message: &str, matches: &ArgMatches) -> Str
     };
     // What inspect tells goes on behind damage as it is.
     if name != "inspect" && error.chain().any(damaged) {
-        return match of_sub.try_contains_id("conceal") {
-            Ok(_) => "; --conceal goes on behind damage".to_owned(),
-            Err(_) => "; `handcast decode --conceal` makes poses of what is whole".to_owned(),
+        // Matches know of options that were not given in debug builds alone.
+        let command = command();
+        let mut options = command.find_subcommand(name).into_iter().flat_map(clap::Command::get_arguments);
+        return match options.any(|option| option.get_id() == "conceal") {
+            true => "; --conceal goes on behind damage".to_owned(),
+            false => "; `handcast decode --conceal` makes poses of what is whole".to_owned(),
         };
     }
     let of_motions = ["import", "encode", "decode", "inspect", "compare", "view", "render", "send"];

@@ -19,8 +19,8 @@ use handcast_formats::poses::PoseReader;
 use handcast_hand::{PoseClip, Side};
 
 use super::common::{
-    RateArgs, busy, check_seen, check_span, check_terminal, counted, ending, limits, open_input, read_input,
-    read_piece, told_kind, told_name, warn_of_uneven_times, write_output,
+    RateArgs, busy, check_seen, check_span, check_terminal, counted, ending, limits, open_input, read_filled,
+    read_input, read_piece, told_kind, told_name, warn_of_uneven_times, write_output,
 };
 use super::given;
 use super::glb_out::read_map;
@@ -175,7 +175,7 @@ fn encode(args: &Args) -> anyhow::Result<()> {
 /// Takes a stream over, which is read to its end to know that it is one.
 fn copy(args: &Args) -> anyhow::Result<()> {
     let name = args.input.display();
-    let bytes = read_input(&args.input, None)?;
+    let bytes = read_filled(&args.input)?;
     let stream = unwrapped(&bytes).with_context(|| format!("{name}"))?;
     let (mut planes, mut seconds) = (0, 0.0);
     let mut inspector = Inspector::new(&stream, args.decoder());
