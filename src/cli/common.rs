@@ -547,15 +547,20 @@ pub fn ending(path: &Path) -> String {
     path.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase()
 }
 
-/// A new folder among the system's temporary ones, taken away at the end.
+/// A new folder, taken away at the end.
 pub struct Scratch(pub PathBuf, #[expect(dead_code, reason = "held until the folder is gone")] Unfinished);
 
 impl Scratch {
-    /// Makes the folder; `what` is part of its name.
+    /// Makes the folder among the system's temporary ones; `what` is part of its name.
     pub fn new(what: &str) -> anyhow::Result<Self> {
+        Self::within(&std::env::temp_dir(), what)
+    }
+
+    /// Makes it in another folder.
+    pub fn within(folder: &Path, what: &str) -> anyhow::Result<Self> {
         let now = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap_or_default();
         let name = format!("handcast-{what}-{}-{}", std::process::id(), now.subsec_nanos());
-        let path = std::env::temp_dir().join(name);
+        let path = folder.join(name);
         let make = || std::fs::create_dir(&path);
         let (made, guard) = Unfinished::made(Kind::Folder, make, |()| path.clone());
         made.with_context(|| path.display().to_string())?;

@@ -29,8 +29,8 @@ use super::usage::positive;
 /// `handcast synth` writes them. Without input the clip built into the program is measured.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// Clip (video, folder or glob of pictures), or poses: .jsonl, .json, .csv, .fba, .bap, .glb, .bvh, recordings of
-    /// joint positions (.landmarks.jsonl)
+    /// Clip (video, folder or glob of pictures), or motion: .jsonl, .json, .csv, .fba, .bap, .glb, .gltf, .vrma, .bvh, joints
+    /// of other programs (all that import reads)
     input: Option<PathBuf>,
     /// Report to write: a page (.html) or its facts (.json; of --loss facts alone)
     #[arg(short, long, value_name = "FILE")]

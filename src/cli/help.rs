@@ -214,8 +214,10 @@ pub fn examples(name: &str) -> impl Iterator<Item = &'static str> {
 /// What the exit codes of a subcommand mean.
 pub fn exit_codes(name: &str) -> &'static str {
     match name {
-        "compare" => "0 they are the same, 1 they are not, or a file cannot be read, 2 wrong usage",
-        _ => "0 done, 1 failed, 2 wrong usage",
+        "compare" => {
+            "0 they are the same, 1 they are not, or a file cannot be read, 2 wrong usage, 130 ended by a signal"
+        }
+        _ => "0 done, 1 failed, 2 wrong usage, 130 ended by a signal",
     }
 }
 

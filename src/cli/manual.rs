@@ -96,7 +96,7 @@ mod tests {
         let sub = command.find_subcommand("inspect").unwrap();
         let page = String::from_utf8(page(sub, "handcast-inspect").unwrap()).unwrap();
         let [status, examples, version] = [
-            ".SH \"EXIT STATUS\"\n0 done, 1 failed, 2 wrong usage\n",
+            ".SH \"EXIT STATUS\"\n0 done, 1 failed, 2 wrong usage, 130 ended by a signal\n",
             "\n.SH EXAMPLES\n.nf\nhandcast inspect hand.fba\n",
             ".SH VERSION",
         ]

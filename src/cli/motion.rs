@@ -22,7 +22,7 @@ const GAP: f64 = 1.5;
 /// What is shown, and how it is read.
 #[derive(Debug, clap::Args)]
 pub struct MotionArgs {
-    /// Stream (.fba, .mp4), BAP text (.bap), animated hand (.glb, .gltf; of a rig, the motion), BVH made by this program, poses (.jsonl, .json, .csv), or joint positions (.webxr.json, .landmarks.jsonl, .pose); - for standard input
+    /// Stream (.fba, .mp4), BAP text (.bap), animated hand (.glb, .gltf, .vrma; of a rig, the motion), BVH, poses (.jsonl, .json, .csv), or joints of other programs (all that import reads); - for standard input
     pub input: PathBuf,
     /// Sizes of the person's hand, instead of the file's
     #[arg(long, value_name = "FILE")]

@@ -17,7 +17,7 @@ pub struct Args {
     /// Letters, digits and spaces.
     #[arg(value_parser = text)]
     text: String,
-    /// File to write: .glb, .jsonl, .json, .csv, .bvh, .vrma, .webxr.json, .landmarks.jsonl, .pose, .bap or .png (a sheet with a picture of each letter; of --fps, of moments).
+    /// File to write: .glb, .gltf, .jsonl, .json, .csv, .bvh, .vrma, .webxr.json, .landmarks.jsonl, .pose, .bap or .png (a sheet with a picture of each letter; of --fps, of moments).
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     /// Frames in which letters are held, for `bench labels --letters`: lines such as `58-82 I`; digits in lines that are notes

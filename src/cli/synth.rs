@@ -16,7 +16,7 @@ use handcast_vision::Mask;
 use image::codecs::png::PngEncoder;
 use image::{ImageBuffer, PixelWithColorType, RgbImage};
 
-use super::common::{Face, Hand, progress, told_name, write_output};
+use super::common::{Face, Hand, Scratch, progress, told_name, write_output};
 use super::demo_clip;
 use super::files::try_file;
 
@@ -135,20 +135,46 @@ pub(super) fn colour(text: &str) -> Result<[u8; 3], String> {
     }
 }
 
-/// Writes a picture that appears whole or not at all.
-fn save<P>(path: &Path, picture: &ImageBuffer<P, Vec<u8>>) -> anyhow::Result<()>
-where
-    P: PixelWithColorType<Subpixel = u8>,
-{
-    let mut file = AtomicFile::create(path)?;
-    picture.write_with_encoder(PngEncoder::new(&mut file)).with_context(|| path.display().to_string())?;
-    Ok(file.commit()?)
-}
-
 /// Where frames go.
 enum Sink {
     Avi(Box<MjpegWriter<AtomicFile>>),
-    Folder(PathBuf),
+    Folder(Pictures),
+}
+
+/// Pictures on their way to a folder, which holds all of them at the end or none.
+struct Pictures {
+    folder: PathBuf,
+    /// Where they are until then, on the same disk.
+    made: Scratch,
+    count: usize,
+}
+
+impl Pictures {
+    fn create(folder: &Path, frames: usize) -> anyhow::Result<Self> {
+        fs::create_dir_all(folder)?;
+        check_numbers(folder, frames)?;
+        Ok(Self { folder: folder.to_owned(), made: Scratch::within(folder, "pictures")?, count: 0 })
+    }
+
+    /// Writes the next one.
+    fn save<P>(&mut self, picture: &ImageBuffer<P, Vec<u8>>) -> anyhow::Result<()>
+    where
+        P: PixelWithColorType<Subpixel = u8>,
+    {
+        let (name, mut bytes) = (numbered(self.count), Vec::new());
+        let written = picture.write_with_encoder(PngEncoder::new(&mut bytes)).map_err(anyhow::Error::from);
+        let written = written.and_then(|()| Ok(fs::write(self.made.0.join(&name), bytes)?));
+        written.with_context(|| self.folder.join(&name).display().to_string())?;
+        self.count += 1;
+        Ok(())
+    }
+
+    fn finish(self) -> anyhow::Result<()> {
+        for name in (0..self.count).map(numbered) {
+            fs::rename(self.made.0.join(&name), self.folder.join(&name)).with_context(|| name.clone())?;
+        }
+        Ok(())
+    }
 }
 
 impl Sink {
@@ -164,28 +190,24 @@ impl Sink {
                     MjpegWriter::new(file, o.size, MjpegWriter::<AtomicFile>::rate_of(o.rate), quality)?;
                 Ok(Self::Avi(Box::new(writer)))
             }
-            None => {
-                fs::create_dir_all(path)?;
-                check_numbers(path, synth.frames())?;
-                Ok(Self::Folder(path.to_owned()))
-            }
+            None => Ok(Self::Folder(Pictures::create(path, synth.frames())?)),
             Some(e) => refuse!("cannot write .{e} clips: give FILE.avi, or a folder for PNG pictures"),
         }
     }
 
-    fn write(&mut self, frame: usize, image: &RgbImage) -> anyhow::Result<()> {
+    fn write(&mut self, image: &RgbImage) -> anyhow::Result<()> {
         match self {
             Self::Avi(writer) => writer.write(image)?,
-            Self::Folder(folder) => save(&folder.join(numbered(frame)), image)?,
+            Self::Folder(pictures) => pictures.save(image)?,
         }
         Ok(())
     }
 
     fn finish(self) -> anyhow::Result<()> {
-        if let Self::Avi(writer) = self {
-            writer.finish()?.commit()?;
+        match self {
+            Self::Avi(writer) => Ok(writer.finish()?.commit()?),
+            Self::Folder(pictures) => pictures.finish(),
         }
-        Ok(())
     }
 }
 
@@ -290,19 +312,19 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let truth = args.truth(&poses)?;
     let mut sink = Sink::create(&args.output, &synth, args.quality.unwrap_or(demo_clip::QUALITY))
         .with_context(|| format!("{}", args.output.display()))?;
-    if let Some(folder) = &args.masks {
-        let name = || folder.display().to_string();
-        fs::create_dir_all(folder).with_context(name)?;
-        check_numbers(folder, synth.frames()).with_context(name)?;
-    }
+    let masks = args
+        .masks
+        .as_ref()
+        .map(|folder| Pictures::create(folder, synth.frames()).with_context(|| folder.display().to_string()));
+    let mut masks = masks.transpose()?;
     let progress = progress(!args.quiet, Some(synth.frames() as u64));
     for i in 0..synth.frames() {
         let frames = match &other {
             Some(other) => synth.render_with(other, i).into(),
             None => vec![synth.render(i)],
         };
-        sink.write(i, &frames[0].image).with_context(|| format!("{}", args.output.display()))?;
-        if let Some(folder) = &args.masks {
+        sink.write(&frames[0].image).with_context(|| format!("{}", args.output.display()))?;
+        if let Some(masks) = &mut masks {
             let rough = |synth: &Synth, seen: &Mask| {
                 if o.roughness > 0.0 { synth.silhouette(i) } else { seen.clone() }
             };
@@ -310,12 +332,13 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
             if let (Some(other), Some(frame)) = (&other, frames.get(1)) {
                 mask.union_with(&rough(other, &frame.hand));
             }
-            save(&folder.join(numbered(i)), &mask.to_gray())?;
+            masks.save(&mask.to_gray())?;
         }
         progress.inc(1);
     }
     progress.finish_and_clear();
     sink.finish().with_context(|| format!("{}", args.output.display()))?;
+    masks.map_or(Ok(()), Pictures::finish)?;
     if truth.as_os_str() == "-" {
         write_output(&truth, &write_lines(&poses)?)?;
     } else {

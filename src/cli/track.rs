@@ -17,7 +17,7 @@ pub struct Args {
     /// MP4/MOV, AVI, animated GIF/PNG/WebP, Y4M (- for standard input), a folder, "glob" or %03d pattern of pictures
     clip: PathBuf,
     /// File to write: .jsonl (with confidence, overlap and validity), .json, .csv, .bvh, .vrma, .webxr.json,
-    /// .landmarks.jsonl, .pose, .bap or .glb
+    /// .landmarks.jsonl, .pose, .bap, .glb or .gltf
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     /// What was tracked drawn over the clip (.mp4, .avi), its pictures as they are looked at, 640 pixels a side at most: green is

@@ -202,7 +202,7 @@ pub fn mux(stream: &[u8], options: &MuxOptions) -> Result<Vec<u8>, Mp4Error> {
         match &clip {
             Some(clip) => clip.moov(&mut out, at, duration as u64, &track)?,
             None => out.of(b"moov", |out| {
-                boxes::mvhd(out, scale, duration as u32, id + 1);
+                boxes::mvhd(out, scale, duration as u64, id + 1);
                 out.bytes(&track);
             }),
         }
@@ -234,23 +234,27 @@ fn seconds(samples: &Samples, start: f64) -> f64 {
 /// The track of a stream whose samples begin at byte `at` of the file; `scale`: ticks a second of the movie.
 fn track(samples: &Samples, header: &[u8], (id, scale): (u32, u32), start: f64, at: u64) -> Vec<u8> {
     let ticks: u64 = samples.list.iter().map(|sample| u64::from(sample.1)).sum();
-    let movie = |seconds: f64| (seconds * f64::from(scale)).round().clamp(0.0, u32::MAX.into()) as u32;
+    let movie = |seconds: f64| (seconds * f64::from(scale)).round() as u64;
     let length = movie(seconds(samples, 0.0));
     let mut out = Out::default();
     out.of(b"trak", |out| {
         boxes::tkhd(out, id, length.saturating_add(movie(start)));
         if start > 0.0 {
             out.of(b"edts", |out| {
-                out.full(b"elst", 0, |out| {
+                let long = boxes::is_long(length) || boxes::is_long(movie(start));
+                out.full(b"elst", boxes::version_of(long), |out| {
                     out.u32(2);
-                    // Nothing at first, then all of it.
-                    [movie(start), u32::MAX, 1 << 16].into_iter().for_each(|v| out.u32(v));
-                    [length, 0, 1 << 16].into_iter().for_each(|v| out.u32(v));
+                    // Nothing (-1) at first, then all of it.
+                    for (duration, from) in [(movie(start), u64::MAX), (length, 0)] {
+                        out.time(duration, long);
+                        out.time(from, long);
+                        out.u32(1 << 16);
+                    }
                 });
             });
         }
         out.of(b"mdia", |out| {
-            boxes::mdhd(out, samples.timescale, ticks.min(u32::MAX.into()) as u32);
+            boxes::mdhd(out, samples.timescale, ticks);
             boxes::hdlr(out, b"vide", "FBA stream");
             out.of(b"minf", |out| {
                 out.full(b"vmhd", 1, |out| out.zeros(8));

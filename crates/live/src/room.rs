@@ -12,6 +12,8 @@ use crate::wire::{
 /// Most planes of a period that are kept for those who come late, and most bytes.
 const MOST_KEPT: usize = 1200;
 const MOST_BYTES: usize = 256 << 10;
+/// Most bytes of the periods of all senders that one who comes late is told.
+const MOST_REPLAYED: usize = MOST_BYTES;
 /// I planes are asked of a sender no more often than this.
 const BETWEEN_REQUESTS: Duration = Duration::from_secs(1);
 /// And for readers that were slow no more often than this: one that always is would have everybody pay for it.
@@ -152,18 +154,26 @@ impl Room {
         Delivery { sender, bytes, opens: planes.first().is_some_and(Plane::opens), payload }
     }
 
-    /// What one who comes is told: the senders, and of each the current period, all but its last plane not to be shown.
-    pub fn welcome(&self, following: &mut Following) -> Vec<Vec<u8>> {
-        let mut told = Vec::new();
-        for (number, sender) in (0u8..).zip(&self.senders) {
+    /// What one who comes is told: the senders, and of each the current period, all but its last plane not to be shown. Of those
+    /// whose period cannot be joined, or is too much after that of others, it waits for the next one: their numbers.
+    pub fn welcome(&self, following: &mut Following) -> (Vec<Vec<u8>>, Vec<u8>) {
+        let (mut told, mut missing, mut left) = (Vec::new(), Vec::new(), MOST_REPLAYED);
+        for ((number, sender), follows) in (0u8..).zip(&self.senders).zip(following) {
             let Some(sender) = sender else { continue };
             told.push(sender.message(number).bytes());
-            sender.replay(&mut told);
-            if let Some(follows) = following.get_mut(usize::from(number)) {
-                *follows = if sender.planes.is_empty() { Follows::Waits } else { Follows::All };
+            let fits = sender.bytes <= left;
+            if fits && !sender.planes.is_empty() {
+                left -= sender.bytes;
+                sender.replay(&mut told);
+                *follows = Follows::All;
+            } else {
+                *follows = Follows::Waits;
+                if sender.begun {
+                    missing.push(number);
+                }
             }
         }
-        told
+        (told, missing)
     }
 
     /// Whether an I plane may be asked of a sender now.
@@ -184,12 +194,6 @@ impl Room {
             sender.mended = Some(now);
         }
         may && self.may_ask(number, now)
-    }
-
-    /// Senders whose current period cannot be joined.
-    pub fn unjoinable(&self) -> impl Iterator<Item = u8> + '_ {
-        let out = |sender: &Option<Sender>| sender.as_ref().is_some_and(|s| s.begun && s.planes.is_empty());
-        (0u8..).zip(&self.senders).filter(move |(_, sender)| out(sender)).map(|(number, _)| number)
     }
 
     /// Senders in the room.
@@ -279,7 +283,8 @@ mod tests {
             room.publish(number, vec![plane(3, index)]).unwrap();
         }
         let (mut following, mut expander) = (Following::default(), Expander::default());
-        let told = room.welcome(&mut following);
+        let (told, missing) = room.welcome(&mut following);
+        assert!(missing.is_empty());
         let planes: Vec<Plane> = told.iter().flat_map(|bytes| read(&mut expander, bytes)).collect();
         assert_eq!(planes.len(), 21);
         assert!(
@@ -339,7 +344,7 @@ mod tests {
         let end = room.leave(first, Parting::Gone);
         assert_eq!(end, Message::End { sender: first, parting: Parting::Gone }.bytes());
         assert!(room.leave(first, Parting::Gone).is_empty());
-        let told = room.welcome(&mut Following::default());
+        let (told, _) = room.welcome(&mut Following::default());
         assert_eq!(told.len(), 2, "one hello, one period");
         assert_eq!(room.senders(), 1);
         assert_eq!(room.enter().unwrap(), first, "its number is free");
@@ -352,12 +357,12 @@ mod tests {
         room.publish(number, vec![plane(0, 0), plane(0, 1)]).unwrap();
         assert!(room.publish(number, vec![plane(0, 3)]).unwrap().is_empty());
         assert!(room.publish(number, vec![plane(0, 4)]).unwrap().is_empty());
-        assert_eq!(room.welcome(&mut Following::default()).len(), 1);
+        assert_eq!(room.welcome(&mut Following::default()).0.len(), 1);
         assert_eq!(room.publish(number, vec![plane(1, 0)]).unwrap().len(), 1);
         for index in 1..=MOST_KEPT as u16 {
             assert_eq!(room.publish(number, vec![plane(1, index)]).unwrap().len(), 1);
         }
-        assert_eq!(room.unjoinable().collect::<Vec<_>>(), [number]);
+        assert_eq!(room.welcome(&mut Following::default()).1, [number]);
         let now = Instant::now();
         assert!(room.may_ask(number, now) && !room.may_ask(number, now + BETWEEN_REQUESTS / 2));
         let later = now + BETWEEN_REQUESTS;
@@ -366,6 +371,25 @@ mod tests {
         assert!(!room.may_mend(number, later + BETWEEN_MENDINGS + BETWEEN_REQUESTS));
         let wrong = Plane { payload: vec![1], ..plane(2, 0) };
         assert_eq!(room.publish(number, vec![wrong]).unwrap_err(), RoomError::NoStartCode);
+    }
+
+    #[test]
+    fn long_periods_of_many_are_not_all_replayed() {
+        let mut room = Room::default();
+        for number in 0..MAX_SENDERS {
+            assert_eq!(room.enter(), Ok(number));
+            let long = |index| Plane { payload: vec![1; 8000], ..plane(0, index) };
+            let planes = std::iter::once(plane(0, 0)).chain((1..20).map(long));
+            room.publish(number, planes.collect()).unwrap();
+        }
+        let mut following = Following::default();
+        let (told, missing) = room.welcome(&mut following);
+        assert!(told.iter().map(Vec::len).sum::<usize>() < MOST_REPLAYED + 10_000);
+        assert_eq!(missing, (1..MAX_SENDERS).collect::<Vec<_>>());
+        let next = room.publish(1, vec![plane(0, 20)]).unwrap();
+        assert!(!next[0].is_for(&mut following, true));
+        let next = room.publish(1, vec![plane(1, 0)]).unwrap();
+        assert!(next[0].is_for(&mut following, true));
     }
 
     #[test]

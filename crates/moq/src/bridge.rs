@@ -44,9 +44,15 @@ pub fn bridge<P: Publish + Send + 'static>(
                     None => {
                         // The other direction must not see a sender before it is known whose it is.
                         let mut own = own.lock().unwrap_or_else(PoisonError::into_inner);
-                        let end = open(sender, &hello)?;
-                        own.extend(end.1);
-                        ends.insert(sender, end);
+                        match open(sender, &hello) {
+                            Ok(end) => {
+                                own.extend(end.1);
+                                ends.insert(sender, end);
+                            }
+                            // One that is not let in asks again with its next hello.
+                            Err(TransportError::Refused { .. }) => {}
+                            Err(error) => return Err(error),
+                        }
                         Ok(())
                     }
                 }

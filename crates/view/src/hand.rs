@@ -30,18 +30,20 @@ pub(super) fn instants(clip: &PoseClip) -> Vec<f64> {
     times
 }
 
-/// The pose of a hand at each of `times`: the last one there was, and whether it counts.
+/// The pose of a hand at each of `times`: the last one there was to go by, as streams have it, or the first; and whether it counts.
 fn on_instants<'a>(track: &[&'a TimedPose], times: &[f64]) -> Vec<(&'a TimedPose, bool)> {
     let ends = track.first().zip(track.last());
     let mut at = 0;
+    let mut held = track.iter().find(|pose| pose.is_shown()).or(track.first());
     times
         .iter()
         .filter_map(|&time| {
             while at + 1 < track.len() && track[at + 1].time < time + 1e-6 {
                 at += 1;
+                held = track.get(at).filter(|pose| pose.is_shown()).or(held);
             }
             let inside = ends.is_some_and(|(a, b)| time > a.time - 1e-6 && time < b.time + 1e-6);
-            track.get(at).map(|&pose| (pose, pose.valid && inside))
+            Some((*held?, track.get(at)?.valid && inside))
         })
         .collect()
 }
@@ -179,6 +181,23 @@ mod tests {
         let left: Vec<&TimedPose> = both.of(Side::Left).collect();
         let seen: Vec<bool> = on_instants(&left, &times).into_iter().map(|(_, valid)| valid).collect();
         assert_eq!(seen, [false, true, true, true, false]);
+    }
+
+    #[test]
+    fn where_a_hand_is_lost_the_last_pose_is_held() {
+        let mut lost = clip(Side::Right, 6);
+        for i in [0, 3, 4] {
+            lost.frames[i] = TimedPose {
+                valid: false,
+                ..TimedPose::new(lost.frames[i].time, HandPose::neutral(Side::Right))
+            };
+        }
+        let track: Vec<&TimedPose> = lost.of(Side::Right).collect();
+        let held: Vec<(f64, bool)> = on_instants(&track, &instants(&lost))
+            .into_iter()
+            .map(|(pose, valid)| ((pose.time * 25.0).round(), valid))
+            .collect();
+        assert_eq!(held, [(1.0, false), (1.0, true), (2.0, true), (2.0, false), (2.0, false), (5.0, true)]);
     }
 
     #[test]

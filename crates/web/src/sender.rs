@@ -138,23 +138,20 @@ impl VideoSender {
         let frame = Frame { index: self.frames, time: (capture - self.begun) / 1000.0, image };
         self.frames += 1;
         let mut sent = Sent::default();
-        match self.tracker.push(frame) {
-            Ok(poses) => self.send(&poses, capture, &mut sent).map_err(|error| error.to_string())?,
-            Err(error) => {
-                sent.trouble = Some(trouble(&error));
-                self.tracker = self.options.tracker();
-                self.frames = 0;
-            }
-        }
+        let poses = self.tracker.push(frame).unwrap_or_else(|error| {
+            sent.trouble = Some(trouble(&error));
+            self.tracker = self.options.tracker();
+            self.frames = 0;
+            Vec::new()
+        });
+        self.send(&poses, capture, &mut sent).map_err(|error| error.to_string())?;
         Ok(sent)
     }
 
     fn send(&mut self, poses: &[TimedPose], capture: f64, sent: &mut Sent) -> Result<(), PosesToStreamError> {
-        if poses.is_empty() {
-            return Ok(());
-        }
         let first = self.times.map_or(capture, |[first, _]| first);
-        let header: PoseHeader = self.tracker.header(None);
+        // Without poses nothing is known, but that hands which were sent are lost.
+        let header = if poses.is_empty() { PoseHeader::default() } else { self.tracker.header(None) };
         let skeletons = [Side::Left, Side::Right].map(|side| {
             let told = header.hand(side).and_then(|hand| hand.morphology.as_ref());
             told.map(|sizes| Skeleton::new(sizes, side))
@@ -254,6 +251,28 @@ mod tests {
             .filter_map(|n| sender.push(&grey, 96, 64, f64::from(n) * 33.0).unwrap().trouble)
             .collect();
         assert!(troubles.len() >= 2 && !troubles[0].is_empty(), "{troubles:?}");
+    }
+
+    /// A picture of another size ends the tracker, not what is told of the hands.
+    #[test]
+    fn hands_are_told_lost_where_the_camera_turns() {
+        let clip = concat!(env!("CARGO_MANIFEST_DIR"), "/../../fixtures/demo.avi");
+        let mut source = handcast_media::open(clip, &handcast_media::OpenOptions::default()).unwrap();
+        let options = VideoOptions { learning_frames: 30, lead_in: 120, ..VideoOptions::default() };
+        let mut sender = VideoSender::new(options);
+        let (mut planes, mut size, mut capture) = (Vec::new(), (0, 0), 1000.0);
+        for _ in 0..60 {
+            let image = source.next_frame().unwrap().unwrap().image;
+            size = image.dimensions();
+            let rgba: Vec<u8> = image.pixels().flat_map(|p| [p.0[0], p.0[1], p.0[2], 255]).collect();
+            planes.extend(sender.push(&rgba, size.0, size.1, capture).unwrap().planes);
+            capture += 40.0;
+        }
+        assert_eq!(planes.last().unwrap().lost, [false; 2]);
+        let turned = vec![90; (size.0 * size.1 * 4) as usize];
+        let sent = sender.push(&turned, size.1, size.0, capture).unwrap();
+        assert!(sent.trouble.is_some());
+        assert!(sent.planes.iter().any(|plane| plane.lost != [false; 2]), "{:?}", sent.planes);
     }
 
     #[test]

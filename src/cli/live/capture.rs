@@ -169,8 +169,8 @@ impl Capture {
 /// Puts pictures into the slot: those of a clip at its pace, others as they come.
 fn read(mut source: Source, slot: &Slot, stop: &AtomicBool) -> anyhow::Result<()> {
     let begun = Instant::now();
-    // Where the clip's present round begins.
-    let mut offset = 0.0;
+    // Where the clip's present round begins, and with which picture.
+    let (mut offset, mut round) = (0.0, 0);
     let step = source.info().rate.map_or(1.0 / 30.0, f64::recip);
     let (mut last, mut index) = (0.0, 0);
     while !stop.load(Ordering::Relaxed) {
@@ -184,9 +184,9 @@ fn read(mut source: Source, slot: &Slot, stop: &AtomicBool) -> anyhow::Result<()
                 tell_shortfall(path, source.frames.shortfall().as_deref());
             }
             match &source.clip {
-                Some((name, options, true)) if index > 0 => {
+                Some((name, options, true)) if index > round => {
                     source.frames = open(name, options)?;
-                    offset = last + step;
+                    (offset, round) = (last + step, index);
                     continue;
                 }
                 _ => return Ok(()),

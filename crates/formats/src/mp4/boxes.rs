@@ -51,6 +51,11 @@ impl Out {
         });
     }
 
+    /// A time, in 64 bits where the box has long ones.
+    pub fn time(&mut self, time: u64, long: bool) {
+        if long { self.u64(time) } else { self.u32(time as u32) }
+    }
+
     /// A descriptor of ISO/IEC 14496-1 with what `fill` writes.
     fn descriptor(&mut self, tag: u8, fill: impl FnOnce(&mut Self)) {
         let mut content = Self::default();
@@ -71,9 +76,23 @@ fn matrix(out: &mut Out) {
     [1 << 16, 0, 0, 0, 1 << 16, 0, 0, 0, 1 << 30].into_iter().for_each(|v| out.u32(v));
 }
 
-pub fn mvhd(out: &mut Out, timescale: u32, duration: u32, next_track: u32) {
-    out.full(b"mvhd", 0, |out| {
-        [0, 0, timescale, duration, 1 << 16].into_iter().for_each(|v| out.u32(v));
+/// Whether a time does not fit into 32 bits, all of which set mean that it is not known.
+pub fn is_long(time: u64) -> bool {
+    time >= u32::MAX.into()
+}
+
+/// The version of a full box whose times are long or not, where its flags are.
+pub fn version_of(long: bool) -> u32 {
+    u32::from(long) << 24
+}
+
+pub fn mvhd(out: &mut Out, timescale: u32, duration: u64, next_track: u32) {
+    let long = is_long(duration);
+    out.full(b"mvhd", version_of(long), |out| {
+        [0, 0].into_iter().for_each(|v| out.time(v, long));
+        out.u32(timescale);
+        out.time(duration, long);
+        out.u32(1 << 16);
         out.u16(1 << 8);
         out.zeros(10);
         matrix(out);
@@ -83,18 +102,24 @@ pub fn mvhd(out: &mut Out, timescale: u32, duration: u32, next_track: u32) {
 }
 
 /// The header of a track that is on, in the movie and its preview, without a picture.
-pub fn tkhd(out: &mut Out, id: u32, duration: u32) {
-    out.full(b"tkhd", 7, |out| {
-        [0, 0, id, 0, duration].into_iter().for_each(|v| out.u32(v));
+pub fn tkhd(out: &mut Out, id: u32, duration: u64) {
+    let long = is_long(duration);
+    out.full(b"tkhd", 7 | version_of(long), |out| {
+        [0, 0].into_iter().for_each(|v| out.time(v, long));
+        [id, 0].into_iter().for_each(|v| out.u32(v));
+        out.time(duration, long);
         out.zeros(16);
         matrix(out);
         out.zeros(8);
     });
 }
 
-pub fn mdhd(out: &mut Out, timescale: u32, duration: u32) {
-    out.full(b"mdhd", 0, |out| {
-        [0, 0, timescale, duration].into_iter().for_each(|v| out.u32(v));
+pub fn mdhd(out: &mut Out, timescale: u32, duration: u64) {
+    let long = is_long(duration);
+    out.full(b"mdhd", version_of(long), |out| {
+        [0, 0].into_iter().for_each(|v| out.time(v, long));
+        out.u32(timescale);
+        out.time(duration, long);
         // No language ("und").
         out.u16(0x55c4);
         out.u16(0);

@@ -4,7 +4,7 @@ use handcast_iso::{
     MediaBox, all, behind_dates, child, children, needed, outermost, rows, u32_at, u64_at, unsigned,
 };
 
-use super::boxes::Out;
+use super::boxes::{self, Out};
 use super::{Mp4Error, malformed};
 
 /// An MP4 file, as far as it is kept.
@@ -101,9 +101,14 @@ impl<'a> Clip<'a> {
             let longest = u64_at(&bytes, 24).unwrap_or(0).max(duration);
             bytes.get_mut(24..32).into_iter().for_each(|slot| slot.copy_from_slice(&longest.to_be_bytes()));
         } else {
-            let longest = u64::from(u32_at(&bytes, 16).unwrap_or(0)).max(duration).min(u32::MAX.into());
-            let longest = (longest as u32).to_be_bytes();
-            bytes.get_mut(16..20).into_iter().for_each(|slot| slot.copy_from_slice(&longest));
+            let longest = u64::from(u32_at(&bytes, 16).unwrap_or(0)).max(duration);
+            if boxes::is_long(duration) {
+                bytes = with_long_times(content);
+                bytes.splice(24..32, longest.to_be_bytes());
+            } else {
+                let longest = (longest as u32).to_be_bytes();
+                bytes.get_mut(16..20).into_iter().for_each(|slot| slot.copy_from_slice(&longest));
+            }
         }
         let next = self.next_track.saturating_add(1).to_be_bytes();
         bytes.last_chunk_mut().into_iter().for_each(|slot| *slot = next);
@@ -157,4 +162,16 @@ impl<'a> Clip<'a> {
         }
         Err(malformed(format!("a chunk of the clip at byte {old} lies outside of its media")))
     }
+}
+
+/// The movie's header of version 0 as one of version 1, whose times have 64 bits (8.2.2).
+fn with_long_times(content: &[u8]) -> Vec<u8> {
+    let mut out = Out::default();
+    let number = |at: usize| u32_at(content, at).unwrap_or(0);
+    out.u32(number(0) | boxes::version_of(true));
+    [4, 8].into_iter().for_each(|at| out.time(number(at).into(), true));
+    out.u32(number(12));
+    out.time(number(16).into(), true);
+    out.bytes(content.get(20..).unwrap_or_default());
+    out.into_bytes()
 }

@@ -200,6 +200,24 @@ fn pictures_start_where_the_first_one_is_shown() {
     assert_eq!(pictures_start_at(&timed(&[[1, i32::MAX]], &[[-1, 1]; 1000], &[[-1, -1]; 1000])), 0.0);
 }
 
+/// Times in ticks that do not fit into 32 bits.
+#[test]
+fn a_stream_begins_long_after_its_clip() {
+    for clip in [None, Some(clip(false, false))] {
+        let stream = stream(true, Some(1));
+        let file = mux(&stream, &MuxOptions { start: 7.2e6, clip, ..MuxOptions::default() }).unwrap();
+        assert!((starts_at(&file) - 7.2e6).abs() < 1e-3, "{}", starts_at(&file));
+        assert_eq!(stream_in(&file).unwrap().as_deref(), Some(&*stream));
+        let moov = path(&file, &[b"moov"]).unwrap().unwrap();
+        let mvhd = needed(moov, b"mvhd").unwrap();
+        let (scale, duration) = (u32_at(mvhd, 20).unwrap(), u64_at(mvhd, 24).unwrap());
+        assert_eq!(mvhd[0], 1);
+        assert!((duration as f64 / f64::from(scale) - 7.2e6 - 4.0).abs() < 0.1);
+        let track = all(moov, b"trak").last().unwrap().unwrap();
+        assert_eq!(needed(track, b"tkhd").unwrap()[..4], [1, 0, 0, 7]);
+    }
+}
+
 #[test]
 fn what_is_no_stream_or_clip_is_refused() {
     let refused = |clip: &[u8]| {

@@ -36,20 +36,22 @@ export class OwnHands {
       audio: false, video: { width: { ideal: WIDTH }, height: { ideal: HEIGHT }, frameRate: { ideal: RATE }, facingMode: "user" },
     }).catch(error => { throw new Error(NO_CAMERA[error.name] ?? error.message); });
     const [camera] = this.stream.getVideoTracks();
-    camera.addEventListener("ended", () => this.lost(GONE));
-    this.video.srcObject = this.stream;
-    await this.video.play();
-    this.video.hidden = false;
-    this.tell("Loading the tracker …");
-    this.worker = new SenderWorker({ rate: RATE }, {
-      onsent: (sent, of) => this.pass(sent, of),
-      onerror: error => { this.trouble = error.message; },
-    });
     try {
+      camera.addEventListener("ended", () => this.lost(GONE));
+      this.video.srcObject = this.stream;
+      await this.video.play();
+      this.video.hidden = false;
+      this.tell("Loading the tracker …");
+      this.worker = new SenderWorker({ rate: RATE }, {
+        onsent: (sent, of) => this.pass(sent, of),
+        onerror: error => { this.trouble = error.message; },
+      });
       await this.worker.ready;
       if (camera.readyState === "ended") throw new Error(GONE);
     } catch (error) {
       this.release();
+      // One that is not ready may never be: it is not waited for.
+      this.worker?.finish().catch(() => {});
       throw error;
     }
     this.on = true;
@@ -80,7 +82,8 @@ export class OwnHands {
   next() {
     if (!this.on) return;
     this.video.requestVideoFrameCallback(async (now, facts) => {
-      this.take(this.worker.busy ? null : await createImageBitmap(this.video), facts.captureTime ?? now);
+      const picture = this.worker.busy ? null : await createImageBitmap(this.video).catch(() => null);
+      this.take(picture, facts.captureTime ?? now);
       this.next();
     });
   }
@@ -133,9 +136,12 @@ export class OwnHands {
   async stop() {
     this.on = false;
     this.release();
-    await this.worker?.finish();
-    if (this.hello) this.room.say(wire.end());
-    this.room.own = null;
+    try {
+      await this.worker?.finish();
+    } finally {
+      if (this.hello) this.room.say(wire.end());
+      this.room.own = null;
+    }
     this.tell("");
   }
 

@@ -317,11 +317,11 @@ impl Fanout {
     fn welcome(&mut self, index: usize) -> io::Result<()> {
         let Some(Some(client)) = self.clients.get_mut(index) else { return Ok(()) };
         let Stage::Open(open) = &mut client.stage else { return Ok(()) };
-        for told in self.room.welcome(&mut open.following) {
-            client.queue(&frame(&told))?;
+        let (told, missing) = self.room.welcome(&mut open.following);
+        for message in told {
+            client.queue(&frame(&message))?;
         }
-        let unjoinable: Vec<u8> = self.room.unjoinable().collect();
-        for sender in unjoinable {
+        for sender in missing {
             self.ask_intra(sender);
         }
         Ok(())

@@ -61,7 +61,7 @@ def run(
     try:
         from distributed import Client, KilledWorker, as_completed
     except ImportError as error:
-        raise Error("the package dask is missing: pip install 'handcast[dask]'") from error
+        raise Error("the package dask is missing: pip install 'dask[distributed]'") from error
 
     places = str(Path(input).resolve()), str(Path(output).resolve())
     given = str(Path(net).resolve()) if isinstance(net, (str, Path)) else None

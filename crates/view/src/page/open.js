@@ -26,16 +26,20 @@ async function motionOf(title, rate, poses, sizesOf, more) {
     };
     const [first, last] = [own[0].time, own.at(-1).time];
     let at = 0;
+    // Where it is lost, the last pose is held, or the first.
+    let held = own.find(pose => pose.valid);
     for (let i = 0; i < instants.length; i += 1) {
       // Hands may have times of their own: the last pose there was is shown, and counts between the first and the last.
-      while (at + 1 < own.length && own[at + 1].time < instants[i] + SAME) at += 1;
-      const pose = own[at];
+      while (at + 1 < own.length && own[at + 1].time < instants[i] + SAME) {
+        at += 1;
+        if (own[at].valid) held = own[at];
+      }
       const inside = instants[i] > first - SAME && instants[i] < last + SAME;
-      hand.valid[i] = pose.valid && inside ? 1 : 0;
-      for (let k = 0; k < 29; k += 1) hand.angles[i * 29 + k] = Math.round(pose.angles[k] * (18000 / Math.PI));
+      hand.valid[i] = own[at].valid && inside ? 1 : 0;
+      for (let k = 0; k < 29; k += 1) hand.angles[i * 29 + k] = Math.round(held.angles[k] * (18000 / Math.PI));
       for (let j = 0; j < 25; j += 1) {
         for (let r = 0; r < 3; r += 1) {
-          for (let c = 0; c < 4; c += 1) hand.frames[i * 300 + j * 12 + r * 4 + c] = pose.joints[j * 16 + c * 4 + r];
+          for (let c = 0; c < 4; c += 1) hand.frames[i * 300 + j * 12 + r * 4 + c] = held.joints[j * 16 + c * 4 + r];
         }
       }
     }
