@@ -171,7 +171,8 @@ impl Pictures {
 
     fn finish(self) -> anyhow::Result<()> {
         for name in (0..self.count).map(numbered) {
-            fs::rename(self.made.0.join(&name), self.folder.join(&name)).with_context(|| name.clone())?;
+            let place = self.folder.join(&name);
+            fs::rename(self.made.0.join(&name), &place).with_context(|| place.display().to_string())?;
         }
         Ok(())
     }

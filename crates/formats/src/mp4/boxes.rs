@@ -86,12 +86,17 @@ pub fn version_of(long: bool) -> u32 {
     u32::from(long) << 24
 }
 
+/// When a movie or its media were made and changed, its ticks a second and how many of them it lasts, as their headers begin.
+pub fn times(out: &mut Out, dates: [u64; 2], timescale: u32, duration: u64, long: bool) {
+    dates.into_iter().for_each(|date| out.time(date, long));
+    out.u32(timescale);
+    out.time(duration, long);
+}
+
 pub fn mvhd(out: &mut Out, timescale: u32, duration: u64, next_track: u32) {
     let long = is_long(duration);
     out.full(b"mvhd", version_of(long), |out| {
-        [0, 0].into_iter().for_each(|v| out.time(v, long));
-        out.u32(timescale);
-        out.time(duration, long);
+        times(out, [0; 2], timescale, duration, long);
         out.u32(1 << 16);
         out.u16(1 << 8);
         out.zeros(10);
@@ -117,9 +122,7 @@ pub fn tkhd(out: &mut Out, id: u32, duration: u64) {
 pub fn mdhd(out: &mut Out, timescale: u32, duration: u64) {
     let long = is_long(duration);
     out.full(b"mdhd", version_of(long), |out| {
-        [0, 0].into_iter().for_each(|v| out.time(v, long));
-        out.u32(timescale);
-        out.time(duration, long);
+        times(out, [0; 2], timescale, duration, long);
         // No language ("und").
         out.u16(0x55c4);
         out.u16(0);

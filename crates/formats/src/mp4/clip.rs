@@ -94,22 +94,22 @@ impl<'a> Clip<'a> {
         Ok(())
     }
 
-    /// The movie's header with a duration that the new track fits in, and the number of a further track.
+    /// The movie's header with a duration that the new track fits in, and the number of a further track. Where the duration needs
+    /// it, its times become long (8.2.2).
     fn mvhd(&self, content: &[u8], duration: u64) -> Vec<u8> {
-        let mut bytes = content.to_vec();
-        if bytes.first() == Some(&1) {
-            let longest = u64_at(&bytes, 24).unwrap_or(0).max(duration);
-            bytes.get_mut(24..32).into_iter().for_each(|slot| slot.copy_from_slice(&longest.to_be_bytes()));
-        } else {
-            let longest = u64::from(u32_at(&bytes, 16).unwrap_or(0)).max(duration);
-            if boxes::is_long(duration) {
-                bytes = with_long_times(content);
-                bytes.splice(24..32, longest.to_be_bytes());
-            } else {
-                let longest = (longest as u32).to_be_bytes();
-                bytes.get_mut(16..20).into_iter().for_each(|slot| slot.copy_from_slice(&longest));
-            }
-        }
+        let was_long = content.first() == Some(&1);
+        let long = was_long || boxes::is_long(duration);
+        let size = if was_long { 8 } else { 4 };
+        let time = |at: usize| {
+            let time = if was_long { u64_at(content, at) } else { u32_at(content, at).map(u64::from) };
+            time.unwrap_or(0)
+        };
+        let mut out = Out::default();
+        out.u32(u32_at(content, 0).unwrap_or(0) | boxes::version_of(long));
+        let longest = time(8 + 2 * size).max(duration);
+        boxes::times(&mut out, [time(4), time(4 + size)], self.timescale, longest, long);
+        out.bytes(content.get(8 + 3 * size..).unwrap_or_default());
+        let mut bytes = out.into_bytes();
         let next = self.next_track.saturating_add(1).to_be_bytes();
         bytes.last_chunk_mut().into_iter().for_each(|slot| *slot = next);
         bytes
@@ -162,16 +162,4 @@ impl<'a> Clip<'a> {
         }
         Err(malformed(format!("a chunk of the clip at byte {old} lies outside of its media")))
     }
-}
-
-/// The movie's header of version 0 as one of version 1, whose times have 64 bits (8.2.2).
-fn with_long_times(content: &[u8]) -> Vec<u8> {
-    let mut out = Out::default();
-    let number = |at: usize| u32_at(content, at).unwrap_or(0);
-    out.u32(number(0) | boxes::version_of(true));
-    [4, 8].into_iter().for_each(|at| out.time(number(at).into(), true));
-    out.u32(number(12));
-    out.time(number(16).into(), true);
-    out.bytes(content.get(20..).unwrap_or_default());
-    out.into_bytes()
 }
