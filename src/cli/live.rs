@@ -8,7 +8,7 @@ mod record;
 mod status;
 mod work;
 
-use std::net::{Ipv4Addr, SocketAddr};
+use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -99,12 +99,14 @@ pub struct Args {
     track: TrackArgs,
 }
 
-/// A name of a machine, or its address, without a port.
+/// A name of a machine, or its address, without a port; of IPv6 as it stands in URLs.
 fn host(text: &str) -> Result<String, String> {
     let plain = |b: u8| b.is_ascii_alphanumeric() || b"-._".contains(&b);
-    let address = text.trim_start_matches('[').trim_end_matches(']').parse::<std::net::Ipv6Addr>().is_ok();
-    let name = !text.is_empty() && text.bytes().all(plain);
-    if name || address {
+    let inside = text.strip_prefix('[').and_then(|text| text.strip_suffix(']')).unwrap_or(text);
+    if let Ok(address) = inside.parse::<Ipv6Addr>() {
+        return Ok(format!("[{address}]"));
+    }
+    if !text.is_empty() && text.bytes().all(plain) {
         Ok(text.into())
     } else {
         Err("allowed is the name of a machine, or its address, without a port: hands.example.org".into())
@@ -313,6 +315,21 @@ mod tests {
             assert!(listening(text).unwrap_err().contains("0.0.0.0:8749 lets in"), "{text}");
         }
         assert!(listening("65536").unwrap_err().contains("127.0.0.1:8747, or 8747 alone"));
+    }
+
+    #[test]
+    fn hosts_are_as_urls_have_them() {
+        for (text, expected) in [
+            ("hands.example.org", "hands.example.org"),
+            ("192.168.1.2", "192.168.1.2"),
+            ("fd00::1", "[fd00::1]"),
+            ("[FD00:0::1]", "[fd00::1]"),
+        ] {
+            assert_eq!(host(text).unwrap(), expected);
+        }
+        for text in ["", "[fd00::1", "fd00::1]", "hands.example:443", "[hands]"] {
+            assert!(host(text).unwrap_err().contains("without a port"), "{text}");
+        }
     }
 
     #[test]

@@ -362,6 +362,30 @@ fn streams_of_the_network_come_through_ffmpeg() {
     misused(&["live", "rtsp://camera/1", "--loop"], &output, &["--loop", "a stream is gone"]);
 }
 
+/// Of a pipe that breaks nothing more comes, which is no end as any other.
+#[test]
+fn a_pipe_that_breaks_is_said() {
+    let pictures = vec![image::RgbImage::from_pixel(64, 48, image::Rgb([90; 3])); 5];
+    let mut bytes = crate::common::y4m::y4m(&pictures);
+    let live = |bytes: &[u8]| {
+        let mut child = Command::new(crate::common::command::program())
+            .args(["live", "--bind", "127.0.0.1:0", "--no-net", "-"])
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        child.stdin.take().unwrap().write_all(bytes).unwrap();
+        let out = child.wait_with_output().unwrap();
+        (out.status.code(), crate::common::command::text(&out.stderr))
+    };
+    let (code, said) = live(&bytes);
+    assert!(code == Some(0) && !said.contains("damaged"), "{said}");
+    bytes.extend([7; 300]);
+    let (code, said) = live(&bytes);
+    assert!(code == Some(1) && said.contains("handcast: -: damaged: frame 5"), "{said}");
+}
+
 #[cfg(unix)]
 #[test]
 fn a_kill_leaves_what_was_recorded() {

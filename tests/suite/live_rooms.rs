@@ -340,6 +340,113 @@ fn pictures_are_as_sharp_as_there_is_time() {
     assert!(shares[0] == 1.0 && shares[1] < 0.45 && shares[2] < 0.45 && shares[3] == 1.0, "{shares:?}");
 }
 
+/// A server that cannot be reached keeps a page for seconds from trying again, not for the minutes that a browser has.
+#[test]
+#[ignore = "needs node"]
+fn the_page_gives_up_what_does_not_answer() {
+    let script = r#"
+        const made = [];
+        let now = 0;
+        const timers = new Map();
+        globalThis.performance = { timeOrigin: 0, now: () => now };
+        globalThis.setTimeout = (call, ms) => { timers.set(timers.size + 1, [now + ms, call, 0]); return timers.size; };
+        globalThis.setInterval = (call, ms) => { timers.set(timers.size + 1, [now + ms, call, ms]); return timers.size; };
+        globalThis.clearTimeout = id => timers.set(id, [Infinity]);
+        const heard = {};
+        globalThis.addEventListener = (name, call) => { heard[name] = call; };
+        globalThis.document = { hidden: false, addEventListener: (name, call) => { heard[name] = call; } };
+        globalThis.location = { pathname: "/hand", protocol: "http:", host: "h", hash: "" };
+        globalThis.fetch = async () => undefined;
+        globalThis.WebSocket = class extends EventTarget {
+            static CONNECTING = 0;
+            static OPEN = 1;
+            readyState = 0;
+            sent = 0;
+            constructor() { super(); made.push([now, this]); }
+            close() { this.readyState = 3; }
+            send() { this.sent += 1; }
+            opens() { this.readyState = 1; this.dispatchEvent(new Event("open")); }
+        };
+        const pass = until => {
+            for (;;) {
+                const due = [...timers].filter(([, [at]]) => at <= until).sort((a, b) => a[1][0] - b[1][0])[0];
+                if (!due) break;
+                const [id, [at, call, every]] = due;
+                now = at;
+                timers.set(id, [every ? at + every : Infinity, call, every]);
+                call();
+            }
+            now = until;
+        };
+        const { link } = await import(process.argv[1]);
+        const words = [];
+        const room = { opened: () => words.push("open"), closed: why => words.push(why), heard: () => {}, now: () => now };
+        const way = link(room);
+        // Nothing answers: it is given up after five seconds each, and tried again later and later.
+        pass(20_000);
+        const silent = made.map(([at]) => at);
+        // The network is back: at once, but for one that was dialled just now.
+        pass(22_000);
+        heard.online();
+        pass(22_300);
+        heard.visibilitychange();
+        const online = made.at(-1)[0];
+        made.at(-1)[1].opens();
+        pass(25_200);
+        // It opened; what is said then is not answered.
+        const answered = way.open;
+        pass(30_000);
+        console.log(JSON.stringify({ silent, online, answered, after: made.slice(-2).map(([at]) => at), words: [...new Set(words)] }));
+        process.exit();
+    "#;
+    let module = concat!("file://", env!("CARGO_MANIFEST_DIR"), "/crates/live/src/page/link.js");
+    let out = Command::new("node").args(["--input-type=module", "-e", script, module]).output().unwrap();
+    assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
+    let told: Value = serde_json::from_slice(&out.stdout).unwrap();
+    let expected = json!({
+        "silent": [0, 5250, 10_750, 16_750], "online": 22_250, "answered": true, "after": [22_250, 27_250],
+        "words": ["The room does not answer.", "open"],
+    });
+    assert_eq!(told, expected);
+}
+
+/// Pictures go on where the room's clock is set back, and are by it again after a while; forwards they follow at once.
+#[test]
+#[ignore = "needs node"]
+fn a_clock_that_is_set_back_holds_no_picture_up() {
+    let script = r#"
+        const { OwnHands } = await import(process.argv[1]);
+        const told = [0, 10_000].map(back => {
+            const room = { offset: 0 };
+            const own = new OwnHands(room, {}, () => {}, () => {});
+            const times = [];
+            [own.on, own.last, own.own, own.distance] = [true, 0, 0, -Infinity];
+            own.worker = { push: (_, captured) => times.push(captured) };
+            for (let k = 0; k < 4000; k += 1) {
+                if (k === 100) room.offset = -back;
+                if (k === 3900) room.offset = 500;
+                own.take({}, 40 * k);
+            }
+            const steps = times.slice(1).map((time, k) => time - times[k]);
+            const at = k => times[k] - performance.timeOrigin - 40 * k;
+            return { least: Math.min(...steps), before: at(99), soon: at(125), late: at(3800), forward: at(3950) };
+        });
+        console.log(JSON.stringify(told));
+    "#;
+    let folder = tempfile::tempdir().unwrap();
+    let page = Path::new(env!("CARGO_MANIFEST_DIR")).join("crates/live/src/page");
+    for name in ["send.js", "room.js", "wire.js"] {
+        std::fs::copy(page.join(name), folder.path().join(name)).unwrap();
+    }
+    std::fs::write(folder.path().join("handcast-sender.js"), "export class SenderWorker {}").unwrap();
+    let module = format!("file://{}/send.js", folder.path().display());
+    let out = Command::new("node").args(["--input-type=module", "-e", script, &module]).output().unwrap();
+    assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
+    let told: Vec<Value> = serde_json::from_slice(&out.stdout).unwrap();
+    assert_eq!(told[0], json!({ "least": 40, "before": 0, "soon": 0, "late": 0, "forward": 500 }));
+    assert_eq!(told[1], json!({ "least": 36, "before": 0, "soon": -104, "late": -10_000, "forward": 500 }));
+}
+
 #[test]
 #[ignore = "needs Chromium and node"]
 fn the_page_tells_that_one_has_gone_while_others_stay() {

@@ -159,7 +159,7 @@ impl RoomClient {
                                 Refusal::Closed => "the room takes no senders",
                                 Refusal::Full => "the room has no place for a further sender",
                             };
-                            return Err(TransportError::Closed { why: why.to_owned() });
+                            return Err(TransportError::Refused { why: why.to_owned() });
                         }
                         other => self.inbox.put(other),
                     }

@@ -71,6 +71,8 @@ pub(crate) enum RoomError {
 #[derive(Debug)]
 struct Sender {
     hello: Hello,
+    /// Whether it has said hello.
+    announced: bool,
     /// The planes of the current period; empty when it cannot be joined any more.
     planes: Vec<Plane>,
     bytes: usize,
@@ -80,6 +82,8 @@ struct Sender {
     last: Option<(u16, u16)>,
     asked: Option<Instant>,
     mended: Option<Instant>,
+    /// Whether an I plane is wanted that could not be asked for yet, and has not come since.
+    wanted: bool,
 }
 
 /// The senders of a room.
@@ -96,22 +100,28 @@ impl Room {
         let hello = Hello::default();
         self.senders[free] = Some(Sender {
             hello,
+            announced: false,
             planes: Vec::new(),
             bytes: 0,
             begun: false,
             last: None,
             asked: None,
             mended: None,
+            wanted: false,
         });
         Ok(free as u8)
     }
 
-    /// Takes a sender's announcement; what everybody is to be told of it.
+    /// Takes a sender's announcement; what everybody is to be told of it, nothing where it is the same as before.
     pub fn announce(&mut self, number: u8, hello: Hello) -> Result<Vec<u8>, RoomError> {
         if hello.record.len() > MAX_RECORD {
             return Err(RoomError::Record);
         }
         let Some(sender) = self.sender(number) else { return Ok(Vec::new()) };
+        let known = std::mem::replace(&mut sender.announced, true) && sender.hello == hello;
+        if known {
+            return Ok(Vec::new());
+        }
         sender.hello = hello;
         Ok(sender.message(number).bytes())
     }
@@ -176,24 +186,31 @@ impl Room {
         (told, missing)
     }
 
-    /// Whether an I plane may be asked of a sender now.
+    /// Whether an I plane is to be asked of a sender now. Where it is too early, [`Self::overdue`] names it later.
     pub fn may_ask(&mut self, number: u8, now: Instant) -> bool {
         let Some(sender) = self.sender(number) else { return false };
-        let may = sender.asked.is_none_or(|asked| now.duration_since(asked) >= BETWEEN_REQUESTS);
+        let may = sender.may_ask(now);
+        sender.wanted |= !may;
+        may
+    }
+
+    /// Whether an I plane is to be asked of a sender now for readers that have room again and wait for its next period.
+    pub fn may_mend(&mut self, number: u8, now: Instant) -> bool {
+        let Some(sender) = self.sender(number) else { return false };
+        let due = sender.mended.is_none_or(|mended| now.duration_since(mended) >= BETWEEN_MENDINGS);
+        // Who waits on is seen at the next plane.
+        let may = due && sender.may_ask(now);
         if may {
-            sender.asked = Some(now);
+            sender.mended = Some(now);
         }
         may
     }
 
-    /// Whether an I plane may be asked of a sender now for readers that have room again and wait for its next period.
-    pub fn may_mend(&mut self, number: u8, now: Instant) -> bool {
-        let Some(sender) = self.sender(number) else { return false };
-        let may = sender.mended.is_none_or(|mended| now.duration_since(mended) >= BETWEEN_MENDINGS);
-        if may {
-            sender.mended = Some(now);
-        }
-        may && self.may_ask(number, now)
+    /// The senders of whom an I plane is to be asked now, since it was too early before.
+    pub fn overdue(&mut self, now: Instant) -> Vec<u8> {
+        let wanted = |sender: &mut Sender| sender.wanted && sender.may_ask(now);
+        let all = (0u8..).zip(&mut self.senders);
+        all.filter_map(|(number, sender)| sender.as_mut().is_some_and(wanted).then_some(number)).collect()
     }
 
     /// Senders in the room.
@@ -207,6 +224,15 @@ impl Room {
 }
 
 impl Sender {
+    /// Whether the last request is long enough ago; from here on one more has been made.
+    fn may_ask(&mut self, now: Instant) -> bool {
+        let may = self.asked.is_none_or(|asked| now.duration_since(asked) >= BETWEEN_REQUESTS);
+        if may {
+            (self.asked, self.wanted) = (Some(now), false);
+        }
+        may
+    }
+
     fn message(&self, sender: u8) -> Message {
         let Hello { hands, record } = self.hello.clone();
         Message::Hello { sender, hands, record }
@@ -235,6 +261,7 @@ impl Sender {
         if plane.opens() {
             self.planes.clear();
             self.bytes = 0;
+            self.wanted = false;
         } else if self.last != plane.index.checked_sub(1).map(|before| (plane.period, before)) {
             self.last = None;
             self.planes.clear();
@@ -363,14 +390,49 @@ mod tests {
             assert_eq!(room.publish(number, vec![plane(1, index)]).unwrap().len(), 1);
         }
         assert_eq!(room.welcome(&mut Following::default()).1, [number]);
-        let now = Instant::now();
-        assert!(room.may_ask(number, now) && !room.may_ask(number, now + BETWEEN_REQUESTS / 2));
-        let later = now + BETWEEN_REQUESTS;
-        assert!(room.may_ask(number, later));
-        assert!(!room.may_mend(number, later) && room.may_mend(number, later + BETWEEN_MENDINGS));
-        assert!(!room.may_mend(number, later + BETWEEN_MENDINGS + BETWEEN_REQUESTS));
         let wrong = Plane { payload: vec![1], ..plane(2, 0) };
         assert_eq!(room.publish(number, vec![wrong]).unwrap_err(), RoomError::NoStartCode);
+    }
+
+    #[test]
+    fn i_planes_are_asked_now_and_then_and_none_is_forgotten() {
+        let mut room = Room::default();
+        let number = room.enter().unwrap();
+        let now = Instant::now();
+        let later = now + BETWEEN_REQUESTS;
+        assert!(room.may_ask(number, now) && room.overdue(now).is_empty());
+        assert!(!room.may_ask(number, now + BETWEEN_REQUESTS / 2));
+        assert!(room.overdue(now + BETWEEN_REQUESTS / 2).is_empty());
+        assert_eq!(room.overdue(later), [number]);
+        assert!(room.overdue(later + BETWEEN_REQUESTS).is_empty(), "asked once");
+        // One that comes meanwhile is what was wanted.
+        assert!(!room.may_ask(number, later));
+        room.publish(number, vec![plane(0, 0)]).unwrap();
+        assert!(room.overdue(later + BETWEEN_REQUESTS).is_empty());
+        // A slow reader has room again right behind a request of others, whose I plane it may have missed.
+        let slow = later + BETWEEN_REQUESTS / 2;
+        assert!(!room.may_mend(number, slow) && room.overdue(slow + BETWEEN_REQUESTS).is_empty());
+        let mended = later + BETWEEN_REQUESTS;
+        assert!(room.may_mend(number, mended));
+        assert!(!room.may_mend(number, mended + BETWEEN_MENDINGS - BETWEEN_REQUESTS));
+        assert!(room.may_mend(number, mended + BETWEEN_MENDINGS));
+    }
+
+    #[test]
+    fn a_hello_that_says_nothing_new_is_told_to_nobody() {
+        let mut room = Room::default();
+        let number = room.enter().unwrap();
+        let hello = |right| Hello { hands: [false, right], record: vec![3] };
+        // The first is news, whatever it says.
+        for (said, is_told) in
+            [(Hello::default(), true), (Hello::default(), false), (hello(true), true), (hello(true), false)]
+        {
+            let told = room.announce(number, said.clone()).unwrap();
+            let Hello { hands, record } = said;
+            let expected = Message::Hello { sender: number, hands, record }.bytes();
+            assert_eq!(told, if is_told { expected } else { Vec::new() });
+        }
+        assert!(!room.announce(number, hello(false)).unwrap().is_empty());
     }
 
     #[test]

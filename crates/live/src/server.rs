@@ -24,7 +24,7 @@ mod link;
 use std::borrow::Cow;
 use std::io;
 use std::net::SocketAddr;
-use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
@@ -208,9 +208,9 @@ impl ServerOptions {
     /// Whether a request may call the server so.
     fn takes_host(&self, host: &str) -> bool {
         let name = http::without_port(host);
-        let named = self.hosts.iter().any(|own| own.eq_ignore_ascii_case(name));
+        let named = self.hosts.iter().any(|own| http::is_named(name, own));
         let loopback = http::is_loopback(name);
-        named || loopback || !self.bind.ip().is_loopback() && http::is_address(name)
+        named || loopback || !self.bind.ip().is_loopback() && http::address(name).is_some()
     }
 
     /// Whether this is the token; takes as long for any of its length.
@@ -254,27 +254,7 @@ pub fn clock_ms() -> u32 {
     (clock_us() / 1000) as u32
 }
 
-/// What a server has done so far.
-#[derive(Debug, Default)]
-pub struct Counters {
-    /// Connections to the room now, and all connections now.
-    viewers: AtomicUsize,
-    connections: AtomicUsize,
-    /// Senders now.
-    senders: AtomicUsize,
-    /// Bytes of streams published, messages they came in, and bytes of those with their headers.
-    payload: AtomicU64,
-    messages: AtomicU64,
-    bytes: AtomicU64,
-    /// Messages handed to readers, left out for slow ones, and nanoseconds that handing out took.
-    deliveries: AtomicU64,
-    skipped: AtomicU64,
-    fanout_ns: AtomicU64,
-    /// Connections refused or closed for a fault.
-    refused: AtomicU64,
-}
-
-/// [`Counters`] at a moment.
+/// What a server has done up to a moment.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Counted {
@@ -300,23 +280,8 @@ pub struct Counted {
     pub refused: u64,
 }
 
-impl Counters {
-    fn read(&self) -> Counted {
-        let get = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
-        Counted {
-            viewers: self.viewers.load(Ordering::Relaxed),
-            connections: self.connections.load(Ordering::Relaxed),
-            senders: self.senders.load(Ordering::Relaxed),
-            payload: get(&self.payload),
-            messages: get(&self.messages),
-            bytes: get(&self.bytes),
-            deliveries: get(&self.deliveries),
-            skipped: get(&self.skipped),
-            fanout_ns: get(&self.fanout_ns),
-            refused: get(&self.refused),
-        }
-    }
-}
+/// What is counted, as the server's thread and those who ask have it.
+type Counters = Mutex<Counted>;
 
 /// What the server's thread is told.
 enum Command {
@@ -382,7 +347,7 @@ impl Server {
 
     /// What it has done so far.
     pub fn counted(&self) -> Counted {
-        self.counters.read()
+        *self.counters.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// A sender of this process. When it is dropped before its end, it is gone.

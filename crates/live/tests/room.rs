@@ -392,7 +392,7 @@ fn told(client: &mut RoomClient) -> String {
     let end = Instant::now() + 10 * SECOND;
     loop {
         match client.next(SECOND) {
-            Err(TransportError::Closed { why }) => return why,
+            Err(TransportError::Closed { why } | TransportError::Refused { why }) => return why,
             Err(error) => panic!("{error}"),
             Ok(_) => assert!(Instant::now() < end, "nothing is told"),
         }
@@ -409,6 +409,9 @@ fn who_may_not_send_is_told_and_goes_on_viewing() {
         let mut viewer = join(&server);
         viewer.say(hello()).unwrap();
         assert!(told(&mut viewer).contains(why));
+        // As one who is not let in: it is no fault of the connection.
+        let refused = join(&server).hello(&Hello::default());
+        assert!(matches!(&refused, Err(TransportError::Refused { why: told }) if told.contains(why)));
         viewer.say(Message::Plane(plane(0, 0, 20)).bytes()).unwrap();
         viewer.say(Message::End { sender: 0, parting: Parting::Left }.bytes()).unwrap();
         own[0].planes(&[plane(3, 0, 40)]).unwrap();
@@ -472,6 +475,86 @@ fn huge_frames_and_floods_are_cut_off() {
     }
     assert!(cut, "a flood of planes is taken: {:?}", server.counted());
     works(&server);
+}
+
+/// What a guest may say within its bytes keeps a crowd of readers from nothing.
+#[test]
+fn tiny_messages_are_cut_off_and_planes_at_their_pace_are_not() {
+    let server = server();
+    let hello = |right| Message::Hello { sender: 0, hands: [false, right], record: Vec::new() };
+    let opening = |period| Message::Plane(plane(period, 0, 4));
+    let floods: [&dyn Fn(u16) -> Vec<u8>; 3] = [
+        &|n| [hello(n % 2 == 0), hello(n % 2 == 1)].iter().flat_map(Message::bytes).collect(),
+        &|n| (0..8).flat_map(|k| opening(8 * n + k).bytes()).collect(),
+        &|n| Message::Ping { mark: u64::from(n) }.bytes(),
+    ];
+    for flood in floods {
+        let mut talker = join(&server);
+        talker.hello(&Hello::default()).unwrap();
+        let (mut sent, mut cut) = (0, false);
+        while !cut && sent < 128 << 10 {
+            let bytes = flood((sent % 8000) as u16);
+            sent += bytes.len() + 8;
+            cut = talker.say(bytes).and_then(|()| talker.next(Duration::ZERO)).is_err();
+        }
+        // What was said before it was noticed.
+        let end = Instant::now() + 5 * SECOND;
+        while !cut && Instant::now() < end {
+            cut = talker.next(SECOND / 10).is_err();
+        }
+        assert!(cut, "{sent} bytes are taken");
+    }
+    // Ten seconds that came at once, by eights as they go together, and 120 planes a second one by one.
+    let mut sender = join(&server);
+    sender.hello(&Hello::default()).unwrap();
+    let planes: Vec<Plane> = (0..1200).map(|index| plane(0, index, 25)).collect();
+    planes.chunks(8).for_each(|planes| sender.planes(planes).unwrap());
+    let begun = Instant::now();
+    for index in 1200..1680u16 {
+        let due = SECOND / 120 * u32::from(index - 1199);
+        std::thread::sleep(due.saturating_sub(begun.elapsed()));
+        sender.planes(&[plane(0, index, 25)]).unwrap();
+        while sender.next(Duration::ZERO).unwrap().is_some() {}
+    }
+    works(&server);
+}
+
+/// A joiner that comes right behind another request gets its I plane all the same, and a crowd asks for one alone.
+#[test]
+fn joiners_ask_no_more_often_than_others_and_are_not_forgotten() {
+    let server = server();
+    let mut sender = server.publisher().unwrap();
+    sender.planes(&[plane(0, 0, 40), plane(0, 2, 40)]).unwrap();
+    let mut asked = || {
+        let begun = Instant::now();
+        while !sender.wants_intra() {
+            assert!(begun.elapsed() < 5 * SECOND, "nobody asks");
+            std::thread::sleep(SECOND / 100);
+        }
+        Instant::now()
+    };
+    let _first = join(&server);
+    let first = asked();
+    let _crowd: Vec<RoomClient> = (0..30).map(|_| join(&server)).collect();
+    let second = asked();
+    assert!(second - first > SECOND / 2 && second - first < 2 * SECOND, "{:?}", second - first);
+    std::thread::sleep(SECOND / 2);
+    assert!(!sender.wants_intra(), "asked for each");
+}
+
+/// As the browser of a page that is closed does.
+#[test]
+fn who_says_that_it_goes_has_left() {
+    let (server, mut viewer, sender) = viewed();
+    drop(sender);
+    assert_eq!(parting(&mut viewer), Parting::Gone);
+    let address = server.address();
+    let request = format!("ws://{address}/r/live?token={TOKEN}");
+    let (mut socket, _) = tungstenite::client(request, TcpStream::connect(address).unwrap()).unwrap();
+    let hello = Message::Hello { sender: 0, hands: [true, false], record: Vec::new() }.bytes();
+    socket.send(tungstenite::Message::Binary(hello.into())).unwrap();
+    socket.close(None).unwrap();
+    assert_eq!(parting(&mut viewer), Parting::Left);
 }
 
 #[test]

@@ -119,16 +119,25 @@ impl BridgeArgs {
     }
 }
 
-/// A sender of the relays in the server's room. What is said there is let by, or the server would take it for stuck.
+/// A sender of the relays in the server's room. What is said there is let by, or the server would take it for stuck. While its
+/// hands rest its hellos keep it there.
 struct Guest(RoomClient);
+
+impl Guest {
+    fn let_by(&mut self) -> Result<(), TransportError> {
+        while self.0.next(Duration::ZERO)?.is_some() {}
+        Ok(())
+    }
+}
 
 impl Publish for Guest {
     fn hello(&mut self, hello: &Hello) -> Result<(), TransportError> {
+        self.let_by()?;
         self.0.hello(hello)
     }
 
     fn planes(&mut self, planes: &[Plane]) -> Result<(), TransportError> {
-        while self.0.next(Duration::ZERO)?.is_some() {}
+        self.let_by()?;
         self.0.planes(planes)
     }
 
@@ -251,14 +260,21 @@ fn watch(args: &RelayArgs) -> anyhow::Result<()> {
     let mut room = MoqSubscriber::connect(&args.relays, &args.room, &args.options())?;
     let mut told = Instant::now();
     let mut ages: Vec<u32> = Vec::new();
+    let mut there = HashSet::new();
     loop {
         match room.next(Duration::from_millis(100))? {
             Some(Message::Plane(plane)) if !plane.replay => {
                 let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
                 ages.push((now.as_millis() as u32).wrapping_sub(plane.time_ms));
             }
-            Some(Message::Hello { sender, .. }) => println!("sender {sender} is there"),
-            Some(Message::End { sender, parting }) => println!("sender {sender}: {parting:?}"),
+            // They are repeated.
+            Some(Message::Hello { sender, .. }) if there.insert(sender) => {
+                println!("sender {sender} is there")
+            }
+            Some(Message::End { sender, parting }) => {
+                there.remove(&sender);
+                println!("sender {sender}: {parting:?}");
+            }
             _ => {}
         }
         if told.elapsed() >= Duration::from_secs(1) {

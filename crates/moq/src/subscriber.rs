@@ -9,6 +9,7 @@ use handcast_live::wire::{Expander, MAX_SENDERS, Message, Parting};
 use moq_net::{Pattern, Patterns, group, origin};
 use moq_tokio::Connection;
 use tokio::runtime::Runtime;
+use tokio::sync::Notify;
 use tokio::time::timeout;
 use url::Url;
 
@@ -23,7 +24,8 @@ const AGAIN: Duration = Duration::from_millis(50);
 /// Gives what is said in a room on relays. Senders are numbered as they are found.
 ///
 /// When a relay is lost it is dialled again, or the next one of the list; of each sender the planes go on with a period. A sender
-/// of whom nothing comes is said to be gone, and back when planes come again.
+/// of whom nothing comes is said to be gone, and back when planes come again. Hellos come again and again, also while nothing has
+/// changed. Who comes when there are [`MAX_SENDERS`] is read when one of them has gone.
 pub struct MoqSubscriber {
     mailbox: Arc<Mailbox>,
     connection: Connection,
@@ -109,7 +111,11 @@ impl Subscribe for MoqSubscriber {
 
 /// Who is there.
 #[derive(Debug, Default)]
-struct Room(Mutex<Senders>);
+struct Room {
+    senders: Mutex<Senders>,
+    /// That a number is free again.
+    freed: Notify,
+}
 
 #[derive(Debug, Default)]
 struct Senders {
@@ -120,7 +126,7 @@ struct Senders {
 
 impl Room {
     fn lock(&self) -> MutexGuard<'_, Senders> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+        self.senders.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// The number of a sender that is to be read from here on; none where it is read already, or the room is full.
@@ -145,8 +151,15 @@ impl Room {
         let gone = !senders.announced.contains(path);
         if gone {
             senders.numbers.remove(path);
+            self.freed.notify_one();
         }
         gone
+    }
+
+    /// Those for whom there was no number.
+    fn left_out(&self) -> Vec<String> {
+        let senders = self.lock();
+        senders.announced.iter().filter(|path| !senders.numbers.contains_key(*path)).cloned().collect()
     }
 }
 
@@ -161,27 +174,41 @@ struct Reader {
 impl Reader {
     async fn run(self, but: Option<String>) {
         let mut announced = self.senders.announced();
-        while let Some(update) = announced.next().await {
+        loop {
+            let update = tokio::select! {
+                update = announced.next() => update,
+                () = self.room.freed.notified() => {
+                    self.room.left_out().into_iter().for_each(|path| self.admit(path));
+                    continue;
+                }
+            };
+            let Some(update) = update else { return };
             let path = update.prefix.as_str().to_owned();
             if but.as_ref().is_some_and(|but| path.starts_with(but)) {
                 continue;
             }
-            if !update.kind.is_active() {
+            if update.kind.is_active() {
+                self.admit(path);
+            } else {
                 self.room.withdraw(&path);
-            } else if let Some(number) = self.room.enter(&path) {
-                let sender = Sender {
-                    number,
-                    path,
-                    mailbox: Arc::clone(&self.mailbox),
-                    freshness: Freshness::new(self.options.stale),
-                    silence: self.options.silence,
-                    hello: None,
-                    here: false,
-                    before: None,
-                };
-                tokio::spawn(sender.run(self.senders.clone(), Arc::clone(&self.room)));
             }
         }
+    }
+
+    /// Reads a sender, where it is not read and there is a number for it.
+    fn admit(&self, path: String) {
+        let Some(number) = self.room.enter(&path) else { return };
+        let sender = Sender {
+            number,
+            path,
+            mailbox: Arc::clone(&self.mailbox),
+            freshness: Freshness::new(self.options.stale),
+            silence: self.options.silence,
+            hello: None,
+            here: false,
+            before: None,
+        };
+        tokio::spawn(sender.run(self.senders.clone(), Arc::clone(&self.room)));
     }
 }
 
@@ -279,7 +306,8 @@ impl Sender {
         match message {
             Message::Hello { hands, record, .. } => {
                 let hello = Message::Hello { sender, hands, record };
-                if self.here && self.hello.as_ref() != Some(&hello) {
+                // Also one that says nothing new: where hands rest it alone says that they are there.
+                if self.here {
                     self.mailbox.push(hello.clone());
                 }
                 self.hello = Some(hello);
@@ -305,5 +333,27 @@ impl Sender {
         if std::mem::take(&mut self.here) {
             self.mailbox.push(Message::End { sender: self.number, parting });
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn who_is_left_out_is_read_when_a_number_is_free() {
+        let room = Room::default();
+        let path = |n: u8| format!("room/{n}");
+        for n in 0..MAX_SENDERS {
+            assert_eq!(room.enter(&path(n)), Some(n));
+        }
+        assert_eq!((room.enter("room/late"), room.enter("room/later")), (None, None));
+        assert!(room.enter(&path(3)).is_none() && !room.leave(&path(3)), "it is announced");
+        room.withdraw("room/later");
+        room.withdraw(&path(3));
+        assert_eq!(room.left_out(), ["room/late"]);
+        assert!(room.leave(&path(3)));
+        assert_eq!(room.enter("room/late"), Some(3));
+        assert!(room.left_out().is_empty());
     }
 }

@@ -44,6 +44,9 @@ fn planes_cross_two_relays_in_order_and_joiners_see_them() {
         let mut planes = 0;
         let mut before: Option<Plane> = None;
         for (_, _, message) in read(&mut room, Duration::from_secs(6)).unwrap() {
+            if matches!(message, Message::Hello { .. }) {
+                continue;
+            }
             let Some(plane) = shown(&message) else { panic!("{name}: {message:?}") };
             planes += 1;
             let number = u64::from(plane.period) * u64::from(PERIOD) + u64::from(plane.index);
@@ -58,6 +61,29 @@ fn planes_cross_two_relays_in_order_and_joiners_see_them() {
         assert_eq!(trial::joins(relay, 8).unwrap().len(), 8);
     }
     sender.stop(true).unwrap();
+}
+
+/// A hand that rests sends nothing for longer than the silence after which a sender is gone.
+#[test]
+#[ignore = "needs moq-relay"]
+fn a_hand_that_rests_is_there() {
+    let relay = relay(None);
+    let mut publisher =
+        MoqPublisher::connect(&urls(&[&relay]).unwrap(), "room", "anna", &options(&[&relay])).unwrap();
+    assert!(publisher.wait_connected(Duration::from_secs(10)));
+    publisher.hello(&Hello { hands: [true, false], record: vec![1] }).unwrap();
+    let plane = |index| Plane { index, time_ms: clock_ms(), payload: vec![0, 0, 1, 7], ..Plane::default() };
+    let mut room = trial::viewer(&[&relay]).unwrap();
+    assert!(room.wait_connected(Duration::from_secs(10)));
+    publisher.planes(&[plane(0)]).unwrap();
+    assert!(wait_for_plane(&mut room, Duration::from_secs(10)).unwrap().is_some());
+    let told = read(&mut room, Duration::from_secs(9)).unwrap();
+    let hellos = told.iter().filter(|(.., message)| matches!(message, Message::Hello { .. })).count();
+    assert!((6..=10).contains(&hellos) && hellos == told.len(), "{told:?}");
+    // And goes on within its period.
+    publisher.planes(&[plane(1)]).unwrap();
+    assert!(wait_for_plane(&mut room, Duration::from_secs(2)).unwrap().is_some());
+    publisher.end().unwrap();
 }
 
 #[test]

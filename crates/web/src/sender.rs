@@ -8,7 +8,7 @@ use handcast_live::sender::{LivePoseEncoderOptions, PoseSender};
 use handcast_live::wire::{Message, Plane};
 use handcast_media::Frame;
 use handcast_track::View;
-use handcast_track::pipeline::{ClipError, ClipOptions, Start, Tracker};
+use handcast_track::pipeline::{ClipOptions, Start, Tracker};
 use image::RgbImage;
 
 use crate::row::write_row;
@@ -139,7 +139,7 @@ impl VideoSender {
         self.frames += 1;
         let mut sent = Sent::default();
         let poses = self.tracker.push(frame).unwrap_or_else(|error| {
-            sent.trouble = Some(trouble(&error));
+            sent.trouble = Some(error.to_string());
             self.tracker = self.options.tracker();
             self.frames = 0;
             Vec::new()
@@ -199,11 +199,6 @@ impl VideoSender {
 /// Milliseconds modulo 2^32.
 fn room_time(capture: f64) -> u32 {
     capture.rem_euclid(4_294_967_296.0) as u32
-}
-
-/// Why a tracker gave up, in one line.
-fn trouble(error: &ClipError) -> String {
-    error.to_string()
 }
 
 fn picture(rgba: &[u8], width: u32, height: u32) -> Result<RgbImage, String> {

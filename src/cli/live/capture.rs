@@ -17,8 +17,10 @@ use crate::cli::common::tell_shortfall;
 /// Where pictures come from.
 pub struct Source {
     frames: Box<dyn FrameSource>,
-    /// A clip's name and how it is opened again, where it is played at its own pace.
-    clip: Option<(PathBuf, OpenOptions, bool)>,
+    /// What it is called.
+    name: PathBuf,
+    /// How a clip is opened again, where it is played at its own pace, and whether it is.
+    clip: Option<(OpenOptions, bool)>,
 }
 
 impl Source {
@@ -34,19 +36,20 @@ impl Source {
             let Some(first) = cameras("ffmpeg".as_ref())?.into_iter().next() else {
                 bail!("no camera is found: name one, a clip, or - for Y4M on standard input");
             };
-            return Ok(Self { frames: open_camera(&first.id, camera, &options)?, clip: None });
+            let frames = open_camera(&first.id, camera, &options)?;
+            return Ok(Self { frames, name: first.id.into(), clip: None });
         };
+        let of = |frames, clip| Self { frames, name: path.to_owned(), clip };
         if path == Path::new("-") {
-            return Ok(Self { frames: open(path, &options)?, clip: None });
+            return Ok(of(open(path, &options)?, None));
         }
         let clip = |options: OpenOptions| -> anyhow::Result<Self> {
-            let frames = open(path, &options)?;
-            Ok(Self { frames, clip: Some((path.to_owned(), options, again)) })
+            Ok(of(open(path, &options)?, Some((options, again))))
         };
         match Address::of(path)? {
             // What is at an address of the web comes faster than it is to be seen.
             Some(Address::Web) => return clip(options),
-            Some(_) => return Ok(Self { frames: open(path, &options)?, clip: None }),
+            Some(_) => return Ok(of(open(path, &options)?, None)),
             None => {}
         }
         if path.is_file() || path.is_dir() {
@@ -63,7 +66,7 @@ impl Source {
         };
         let frames =
             open_camera(&id, camera, &options).with_context(|| format!("{name}: neither a clip nor"))?;
-        Ok(Self { frames, clip: None })
+        Ok(of(frames, None))
     }
 
     /// Whether they are of a clip, not of a camera or a pipe.
@@ -179,13 +182,20 @@ fn read(mut source: Source, slot: &Slot, stop: &AtomicBool) -> anyhow::Result<()
             next => next?,
         };
         let Some(frame) = next else {
-            // Once, not in each round.
-            if let (Some((path, ..)), true) = (&source.clip, offset == 0.0) {
-                tell_shortfall(path, source.frames.shortfall().as_deref());
+            let shortfall = source.frames.shortfall();
+            match (&source.clip, shortfall) {
+                // Who sends until told otherwise has not sent all.
+                (None, Some(told)) if !stop.load(Ordering::Relaxed) => {
+                    bail!("{}: {told}", source.name.display());
+                }
+                (None, _) => {}
+                // Once, not in each round.
+                (Some(_), told) if offset == 0.0 => tell_shortfall(&source.name, told.as_deref()),
+                _ => {}
             }
             match &source.clip {
-                Some((name, options, true)) if index > round => {
-                    source.frames = open(name, options)?;
+                Some((options, true)) if index > round => {
+                    source.frames = open(&source.name, options)?;
                     (offset, round) = (last + step, index);
                     continue;
                 }
@@ -210,7 +220,43 @@ fn read(mut source: Source, slot: &Slot, stop: &AtomicBool) -> anyhow::Result<()
 #[cfg(test)]
 mod tests {
     use super::*;
+    use handcast_media::FrameError;
     use image::RgbImage;
+
+    /// Two pictures, and what is said of the rest.
+    struct Cut(ClipInfo, usize, Option<&'static str>);
+
+    impl FrameSource for Cut {
+        fn info(&self) -> &ClipInfo {
+            &self.0
+        }
+
+        fn set_max_side(&mut self, _side: u32) {}
+
+        fn next_frame(&mut self) -> Result<Option<Frame>, FrameError> {
+            self.1 += 1;
+            Ok((self.1 < 3).then(|| captured(self.1).frame))
+        }
+
+        fn shortfall(&self) -> Option<String> {
+            self.2.map(str::to_owned)
+        }
+    }
+
+    #[test]
+    fn what_ends_by_damage_is_an_error_but_of_clips() {
+        let stop = AtomicBool::new(false);
+        let ends = |shortfall, clip: bool| {
+            let frames = Box::new(Cut(ClipInfo::default(), 0, shortfall));
+            let clip = clip.then(|| (OpenOptions::default(), false));
+            let slot = Slot::default();
+            let read = read(Source { frames, name: "tcp://camera:1".into(), clip }, &slot, &stop);
+            assert_eq!(slot.counted()[0], 2);
+            read.map_err(|error| error.to_string())
+        };
+        assert_eq!(ends(Some("damaged: 2"), false).unwrap_err(), "tcp://camera:1: damaged: 2");
+        assert_eq!((ends(None, false), ends(Some("damaged: 2"), true)), (Ok(()), Ok(())));
+    }
 
     fn captured(index: usize) -> Captured {
         let frame = Frame { index, time: index as f64, image: RgbImage::new(1, 1) };

@@ -375,6 +375,8 @@ const KEYS = {
 };
 document.addEventListener("keydown", event => {
   if (event.ctrlKey || event.altKey || event.metaKey) return;
+  // Of the stage alone: words that are spoken, or meant for a button, press no keys here.
+  if (![document.body, element("stage"), canvas].includes(event.target)) return;
   KEYS[event.key.toLowerCase()]?.();
   redraw();
 });

@@ -7,8 +7,12 @@ import * as wire from "./wire.js";
 const BROKEN = 1002;
 // Code of one whose room ends.
 const ENDED = 1001;
-// Milliseconds in which a room answers a ping.
-const PATIENCE = 3000;
+// Milliseconds in which a room answers a ping, and in which it is reached: browsers wait for minutes.
+const [PATIENCE, DIAL] = [3000, 5000];
+// Milliseconds after which it is dialled anew where there is a reason to.
+const STALE = 1000;
+// Milliseconds from one try to reach it to the next, at first and at most.
+const [SOON, LATE] = [250, 3000];
 // Pings of which the quickest tells the room's clock.
 const PINGS = 12;
 
@@ -29,26 +33,33 @@ class SocketLink {
     this.room = room;
     this.url = url;
     this.pings = new Quickest(PINGS);
-    this.wait = 250;
+    this.wait = SOON;
     this.ended = false;
     this.connect();
     setInterval(() => this.ping(), 1000);
+    // What was dialled before leads nowhere then.
+    addEventListener("online", () => this.hurry());
+    document.addEventListener("visibilitychange", () => { if (!document.hidden) this.hurry(); });
   }
 
   get open() { return this.socket?.readyState === WebSocket.OPEN; }
 
   connect() {
+    clearTimeout(this.timer);
     const socket = new WebSocket(this.url);
     this.socket = socket;
+    this.dialled = localTime();
+    this.timer = setTimeout(() => this.giveUp(), DIAL);
     socket.binaryType = "arraybuffer";
     const expander = new wire.Expander();
     let opened = false;
     socket.addEventListener("open", () => {
       if (socket !== this.socket) return socket.close();
       opened = true;
+      clearTimeout(this.timer);
       this.asked = this.heard = localTime();
       this.ended = false;
-      this.wait = 250;
+      this.wait = SOON;
       this.pings = new Quickest(PINGS);
       this.ping();
       this.room.opened();
@@ -74,9 +85,22 @@ class SocketLink {
       const why = this.ended ? "The room has ended." : "The room does not answer.";
       this.room.closed(event.code === BROKEN ? `The room has closed the connection: ${event.reason}.` : why);
       if (!opened) this.askWhy();
-      setTimeout(() => this.connect(), this.wait);
-      this.wait = Math.min(3000, this.wait * 2);
+      this.redial();
     });
+  }
+
+  redial() {
+    clearTimeout(this.timer);
+    this.timer = setTimeout(() => this.connect(), this.wait);
+    this.wait = Math.min(LATE, this.wait * 2);
+  }
+
+  // The network, or somebody who looks, is back: what is open is asked whether it still leads there, else it is dialled anew.
+  hurry() {
+    if (this.open) return this.ping();
+    this.wait = SOON;
+    const fresh = this.socket?.readyState === WebSocket.CONNECTING && localTime() - this.dialled < STALE;
+    return fresh ? undefined : this.giveUp();
   }
 
   // Browsers do not tell why there is no socket.
@@ -102,9 +126,9 @@ class SocketLink {
   giveUp() {
     const dead = this.socket;
     this.socket = undefined;
-    dead.close();
-    this.room.closed("The room does not answer.");
-    this.connect();
+    dead?.close();
+    this.room.closed(this.ended ? "The room has ended." : "The room does not answer.");
+    this.redial();
   }
 
   pong({ mark, clock }) {

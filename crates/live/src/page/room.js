@@ -50,7 +50,7 @@ class Sender {
     const follows = this.at && this.at.period === message.period && this.at.index + 1 === message.index;
     const next = this.at && opens && ((this.at.period + 1) & 0xffff) === message.period;
     if (!follows && !opens) return this.gap();
-    if (!follows && !next && this.at) this.take(this.decoder.lose());
+    if (!follows && !next && this.at) this.decoder.lose();
     this.at = { period: message.period, index: message.index };
     this.damaged = false;
     this.planes += 1;

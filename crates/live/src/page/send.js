@@ -7,6 +7,8 @@ import { localTime } from "./room.js";
 const [WIDTH, HEIGHT, RATE] = [640, 360, 30];
 // Milliseconds that two clocks may go apart from picture to picture: some 300 millionths.
 const APART = 0.01;
+// Share of a picture's interval by which the room's clock is followed backwards: captures go on, and a little slower.
+const BACKWARDS = 0.1;
 const GONE = "The camera is gone.";
 // Why there is no camera, by the name of the browser's error.
 const NO_CAMERA = {
@@ -55,7 +57,7 @@ export class OwnHands {
       throw error;
     }
     this.on = true;
-    this.last = 0;
+    [this.last, this.own, this.distance] = [0, 0, -Infinity];
     this.watch(camera).catch(error => this.lost(error.message));
   }
 
@@ -88,10 +90,18 @@ export class OwnHands {
     });
   }
 
+  // What the room's clock says when the page's says `time` (milliseconds). It may be set back, which pictures do not follow at once.
+  captured(time) {
+    const own = performance.timeOrigin + time;
+    const back = BACKWARDS * Math.max(0, own - this.own);
+    this.own = own;
+    this.distance = Math.max(this.room.offset, this.distance - back);
+    return Math.max(this.last + 1, own + this.distance);
+  }
+
   take(picture, time) {
     this.pictures += 1;
-    // The room's clock may be set back a little; pictures do not go back.
-    const captured = Math.max(this.last + 1, performance.timeOrigin + time + this.room.offset);
+    const captured = this.captured(time);
     if (this.on && picture && this.worker.push(picture, captured)) this.last = captured;
     else picture?.close();
   }

@@ -26,6 +26,9 @@ const SEND_BUFFER: usize = 8 << 10;
 /// Bytes that a connection may send, all at once and a second.
 const BURST: f64 = 128.0 * 1024.0;
 const PER_SECOND: f64 = 32.0 * 1024.0;
+/// Bytes that a message counts besides its own: handing it on to a crowd costs more than reading it. So many that 120 planes a
+/// second, one by one, are within what may be sent.
+const TURN: f64 = 192.0;
 
 /// How far a connection has come.
 pub(super) enum Stage {
@@ -46,6 +49,8 @@ pub(super) struct Open {
     pub sender: Option<u8>,
     /// Whether it wanted to be one in vain: its planes are passed over.
     pub refused: bool,
+    /// Whether it has said that it goes.
+    pub parted: bool,
 }
 
 /// One connection.
@@ -181,10 +186,24 @@ impl Client {
         let passed = now.duration_since(self.counted).as_secs_f64();
         self.counted = now;
         self.allowance = (self.allowance + passed * PER_SECOND).min(BURST) - count as f64;
-        if self.allowance < 0.0 {
-            return Err(broken("more bytes than it may send"));
-        }
+        self.check_allowance()?;
         Ok(buffer.get(..count))
+    }
+
+    /// Counts messages against what it may send.
+    ///
+    /// # Errors
+    /// They are more than it may send.
+    pub fn charge(&mut self, messages: usize) -> io::Result<()> {
+        self.allowance -= messages as f64 * TURN;
+        self.check_allowance()
+    }
+
+    fn check_allowance(&self) -> io::Result<()> {
+        if self.allowance < 0.0 {
+            return Err(broken("more than it may send"));
+        }
+        Ok(())
     }
 
     /// Becomes a connection with messages, the first bytes of which may have come, behind an answer that says so.
@@ -207,6 +226,7 @@ impl Client {
             following: Following::default(),
             sender: None,
             refused: false,
+            parted: false,
         }));
         self.messages(first)
     }
@@ -223,6 +243,7 @@ impl Client {
             match open.context.read(&mut side) {
                 Ok(tungstenite::Message::Binary(payload)) => found.push(payload.to_vec()),
                 Ok(tungstenite::Message::Text(_)) => return Err(broken("messages of text are none")),
+                Ok(tungstenite::Message::Close(_)) => open.parted = true,
                 Ok(_) => {}
                 Err(tungstenite::Error::Io(error)) if error.kind() == io::ErrorKind::WouldBlock => break,
                 // It has said that it goes, and is answered.

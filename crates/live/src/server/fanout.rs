@@ -2,9 +2,9 @@
 
 use std::io;
 use std::net::SocketAddr;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::Receiver;
+use std::sync::{Arc, PoisonError};
 use std::time::{Duration, Instant};
 
 use mio::net::{TcpListener, TcpStream};
@@ -14,7 +14,7 @@ use super::answers::Answers;
 use super::client::{Client, GOING_AWAY, MOST_WAITING, PROTOCOL_ERROR, Stage, broken, frame};
 use super::http::{Reply, reply};
 use super::link::Link;
-use super::{Command, Counters, RoomPublisher, ServerOptions, clock_us};
+use super::{Command, Counted, Counters, RoomPublisher, ServerOptions, clock_us};
 use crate::room::Room;
 use crate::transport::Hello;
 use crate::wire::{Message, Parting, Plane, Refusal};
@@ -107,17 +107,22 @@ impl Fanout {
                 if self.unaccepted {
                     self.accept();
                 }
-                self.count();
+                self.count_those_here();
             }
         }
         Ok(())
     }
 
-    fn count(&self) {
+    fn count(&self, change: impl FnOnce(&mut Counted)) {
+        change(&mut self.counters.lock().unwrap_or_else(PoisonError::into_inner));
+    }
+
+    fn count_those_here(&self) {
         let viewers = self.clients.iter().flatten().filter(|c| matches!(c.stage, Stage::Open(_))).count();
-        self.counters.viewers.store(viewers, Ordering::Relaxed);
-        self.counters.connections.store(self.open, Ordering::Relaxed);
-        self.counters.senders.store(self.room.senders(), Ordering::Relaxed);
+        self.count(|counted| {
+            (counted.viewers, counted.connections) = (viewers, self.open);
+            counted.senders = self.room.senders();
+        });
     }
 
     /// Does what this process wants.
@@ -165,7 +170,7 @@ impl Fanout {
                 Ok((socket, _)) => {
                     // Nothing is owed to one who comes when there is no room.
                     if self.admit(socket).is_err() {
-                        self.counters.refused.fetch_add(1, Ordering::Relaxed);
+                        self.count(|counted| counted.refused += 1);
                     }
                 }
                 // One that went away already.
@@ -237,7 +242,7 @@ impl Fanout {
     /// Something can be read or written.
     fn attend(&mut self, index: usize) {
         if let Err(error) = self.exchange(index) {
-            self.counters.refused.fetch_add(1, Ordering::Relaxed);
+            self.count(|counted| counted.refused += 1);
             if let Some(Some(client)) = self.clients.get_mut(index) {
                 let now = Instant::now();
                 if error.kind() == io::ErrorKind::InvalidData {
@@ -306,10 +311,10 @@ impl Fanout {
             self.welcome(index)?;
             return Ok(messages);
         }
-        if let Reply::Error(..) = reply {
-            self.counters.refused.fetch_add(1, Ordering::Relaxed);
-        }
         client.answer(&answer, body)?;
+        if let Reply::Error(..) = reply {
+            self.count(|counted| counted.refused += 1);
+        }
         Ok(Vec::new())
     }
 
@@ -321,18 +326,19 @@ impl Fanout {
         for message in told {
             client.queue(&frame(&message))?;
         }
+        let now = Instant::now();
         for sender in missing {
-            self.ask_intra(sender);
+            self.want_intra(sender, now);
         }
         Ok(())
     }
 
     /// Does what a client says.
     fn heard(&mut self, index: usize, bytes: &[u8], now: Instant) -> io::Result<()> {
-        let Some(Some(Client { stage: Stage::Open(open), .. })) = self.clients.get_mut(index) else {
-            return Ok(());
-        };
+        let Some(Some(client)) = self.clients.get_mut(index) else { return Ok(()) };
+        let Stage::Open(open) = &mut client.stage else { return Ok(()) };
         let messages = open.expander.read_all(bytes).map_err(broken)?;
+        client.charge(handed_on(&messages))?;
         // Planes one behind the other go on together.
         let mut planes = Vec::new();
         for message in messages {
@@ -397,14 +403,17 @@ impl Fanout {
                     self.tell(&told);
                 }
             }
-            Message::Intra { sender } => {
-                if self.room.may_ask(sender, now) {
-                    self.ask_intra(sender);
-                }
-            }
+            Message::Intra { sender } => self.want_intra(sender, now),
             other => return Err(nothing_told(other.kind())),
         }
         Ok(())
+    }
+
+    /// Asks a sender for an I plane, later where it was asked just now.
+    fn want_intra(&mut self, sender: u8, now: Instant) {
+        if self.room.may_ask(sender, now) {
+            self.ask_intra(sender);
+        }
     }
 
     fn ask_intra(&mut self, sender: u8) {
@@ -440,13 +449,14 @@ impl Fanout {
                 ended.push(index);
             }
         }
-        let add = |counter: &std::sync::atomic::AtomicU64, n: u64| counter.fetch_add(n, Ordering::Relaxed);
-        add(&self.counters.payload, delivery.payload as u64);
-        add(&self.counters.messages, 1);
-        add(&self.counters.bytes, bytes.len() as u64);
-        add(&self.counters.deliveries, given);
-        add(&self.counters.skipped, left_out);
-        add(&self.counters.fanout_ns, u64::try_from(begun.elapsed().as_nanos()).unwrap_or_default());
+        self.count(|counted| {
+            counted.payload += delivery.payload as u64;
+            counted.messages += 1;
+            counted.bytes += bytes.len() as u64;
+            counted.deliveries += given;
+            counted.skipped += left_out;
+            counted.fanout_ns += u64::try_from(begun.elapsed().as_nanos()).unwrap_or_default();
+        });
         ended.into_iter().for_each(|index| self.close(index));
         // One that missed planes of this period, and hears of none, cannot ask by itself.
         if waits && self.room.may_mend(delivery.sender, begun) {
@@ -472,7 +482,7 @@ impl Fanout {
         ended.into_iter().for_each(|index| self.close(index));
     }
 
-    /// Ends a connection; a sender behind it is gone.
+    /// Ends a connection; a sender behind it has left where it said so, else it is gone.
     fn close(&mut self, index: usize) {
         let Some(mut client) = self.clients.get_mut(index).and_then(Option::take) else { return };
         let _ = self.poll.registry().deregister(client.link.socket());
@@ -482,12 +492,13 @@ impl Fanout {
         if let Stage::Open(open) = &client.stage
             && let Some(number) = open.sender
         {
-            let told = self.room.leave(number, Parting::Gone);
+            let parting = if open.parted { Parting::Left } else { Parting::Gone };
+            let told = self.room.leave(number, parting);
             self.tell(&told);
         }
     }
 
-    /// Closes those whose time is over.
+    /// Closes those whose time is over, and asks for what it was too early to ask for.
     fn sweep(&mut self, now: Instant) {
         let options = &self.options;
         let over = |client: &Client| {
@@ -505,10 +516,20 @@ impl Fanout {
         let ended: Vec<usize> =
             all.filter(|(_, client)| client.as_ref().is_some_and(over)).map(|(index, _)| index).collect();
         for index in ended {
-            self.counters.refused.fetch_add(1, Ordering::Relaxed);
+            self.count(|counted| counted.refused += 1);
             self.close(index);
         }
+        for sender in self.room.overdue(now) {
+            self.ask_intra(sender);
+        }
     }
+}
+
+/// How often messages that came together are handed on or answered: planes behind one another go on as one.
+fn handed_on(messages: &[Message]) -> usize {
+    let goes_on =
+        |pair: &&[Message]| matches!(pair, [Message::Plane(_), Message::Plane(plane)] if !plane.opens());
+    messages.len() - messages.windows(2).filter(goes_on).count()
 }
 
 /// What came is of a kind that only rooms say, or comes without a hello.

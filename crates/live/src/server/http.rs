@@ -1,5 +1,7 @@
 //! Requests: whether they may come in, and what is answered.
 
+use std::net::IpAddr;
+
 use super::ServerOptions;
 
 /// Longest request head.
@@ -121,14 +123,21 @@ pub(super) fn without_port(host: &str) -> &str {
 
 /// Whether a name means the loopback interface.
 pub(super) fn is_loopback(name: &str) -> bool {
-    name == "127.0.0.1" || name == "[::1]" || name.eq_ignore_ascii_case("localhost")
+    address(name).is_some_and(|address| address.is_loopback()) || name.eq_ignore_ascii_case("localhost")
 }
 
-/// Whether a name is an address, so that nobody else's name server can have given it.
-pub(super) fn is_address(name: &str) -> bool {
-    let inside = name.strip_prefix('[').and_then(|name| name.strip_suffix(']'));
-    name.parse::<std::net::Ipv4Addr>().is_ok()
-        || inside.is_some_and(|name| name.parse::<std::net::Ipv6Addr>().is_ok())
+/// The address that a name is, so that nobody else's name server can have given it; of IPv6 in brackets.
+pub(super) fn address(name: &str) -> Option<IpAddr> {
+    match name.strip_prefix('[').and_then(|name| name.strip_suffix(']')) {
+        Some(inside) => inside.parse().ok().map(IpAddr::V6),
+        None => name.parse().ok().map(IpAddr::V4),
+    }
+}
+
+/// Whether a host is the one of this name, an address of IPv6 with brackets or without.
+pub(super) fn is_named(host: &str, name: &str) -> bool {
+    let bare = |name: &str| name.trim_start_matches('[').trim_end_matches(']').to_ascii_lowercase();
+    bare(host) == bare(name)
 }
 
 #[cfg(test)]
@@ -195,6 +204,10 @@ mod tests {
         for (loopback, host, lets_in) in [
             (true, "127.0.0.1:4000", true),
             (true, "LocalHost", true),
+            (true, "127.0.0.2:4000", true),
+            (true, "[::1]:4000", true),
+            (true, "::1", false),
+            (true, "[127.0.0.1]:4000", false),
             (true, "192.168.1.2:4000", false),
             (true, "evil.example", false),
             (true, "127.0.0.1.evil.example", false),
@@ -206,6 +219,14 @@ mod tests {
             let found = ask(&options("", loopback), &format!("GET /r HTTP/1.1\r\nHost: {host}\r\n\r\n"));
             assert_eq!(matches!(found, Reply::Part { .. }), lets_in, "{host}: {found:?}");
         }
+        let named = |own: &str, host: &str| {
+            let options = options("", true).with_hosts(vec![own.to_owned()]);
+            let found = ask(&options, &format!("GET /r HTTP/1.1\r\nHost: {host}\r\n\r\n"));
+            matches!(found, Reply::Part { .. })
+        };
+        assert!(named("hands.example", "Hands.Example:4000") && !named("hands.example", "example"));
+        assert!(named("[fd00::1]", "[fd00::1]:4000") && named("fd00::1", "[FD00::1]"));
+        assert!(!named("fd00::1", "[fd00::2]:4000"));
         let twice = "GET /r HTTP/1.1\r\nHost: localhost\r\nHost: localhost\r\n\r\n";
         assert_eq!(ask(&options("", true), twice), FORBIDDEN);
     }

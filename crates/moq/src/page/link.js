@@ -16,8 +16,8 @@ const LOOK = 50;
 const HEAD_START = 500;
 // Of silence after which a relay is asked whether it is there, and for its answer.
 const [QUIET, ANSWER] = [500, 700];
-// After which a sender of whom nothing comes is gone, and before a track that broke off is asked for again.
-const [SILENCE, AGAIN] = [4000, 50];
+// After which a sender of whom nothing comes is gone, one says its hello again, and before a track that broke off is asked for again.
+const [SILENCE, REPEAT, AGAIN] = [4000, 1000, 50];
 
 const pause = ms => new Promise(done => setTimeout(done, ms));
 const root = Path.from(place.room);
@@ -31,9 +31,14 @@ class RelayLink {
     this.connection = null;
     this.by = null;
     this.senders = new Map();
+    // Paths of those for whom there was no number.
+    this.leftOut = new Set();
     this.own = null;
     this.run();
-    setInterval(() => this.silence(), 500);
+    setInterval(() => {
+      this.silence();
+      this.own?.repeat();
+    }, 500);
   }
 
   get open() { return this.connection !== null; }
@@ -59,6 +64,7 @@ class RelayLink {
       this.own = null;
       for (const sender of this.senders.values()) sender.stop();
       this.senders.clear();
+      this.leftOut.clear();
       this.room.closed("The relay does not answer.");
       // One that was lost is followed by the next at once.
       if (!was) await pause(PAUSE);
@@ -96,17 +102,25 @@ class RelayLink {
   async find(connection) {
     const announced = connection.announced(root);
     for (let event; (event = await announced.next()); ) {
+      // Of a connection that is lost something may come late.
+      if (connection !== this.connection) return;
       const { path, active } = event;
       if (path === this.own?.path) continue;
       const known = this.senders.get(path);
       if (known) known.announced = active;
-      if (!active || known) continue;
-      const number = this.number();
-      if (number === null) continue;
-      const sender = new Sender(this, connection, path, number);
-      this.senders.set(path, sender);
-      sender.run();
+      if (!active) this.leftOut.delete(path);
+      else if (!known) this.admit(path);
     }
+  }
+
+  // Reads a sender, once there is a number for it.
+  admit(path) {
+    const number = this.number();
+    if (number === null) return this.leftOut.add(path);
+    this.leftOut.delete(path);
+    const sender = new Sender(this, this.connection, path, number);
+    this.senders.set(path, sender);
+    return sender.run();
   }
 
   // The least number that nobody has.
@@ -125,6 +139,8 @@ class RelayLink {
       sender.stop();
       this.senders.delete(path);
     }
+    if (!this.open) return;
+    for (const path of [...this.leftOut]) if (this.number() !== null) this.admit(path);
   }
 
   // What this page's own hands send. The relays do not give it back, so the room is told here.
@@ -132,7 +148,10 @@ class RelayLink {
     const [message] = new wire.Expander().read(bytes.slice().buffer);
     // What senders are asked for is asked of the room's server; relays pass nothing back.
     if (!["hello", "plane", "end"].includes(message.kind)) return;
-    if (message.kind === "hello") this.own ??= this.publish();
+    if (message.kind === "hello" && !this.own) {
+      this.own = this.publish();
+      if (!this.own) this.room.take({ kind: "refused", full: true }, this.room.now());
+    }
     if (!this.own) return;
     this.own.say(message, bytes);
     this.room.take({ ...message, sender: this.own.number }, this.room.now());
@@ -198,8 +217,9 @@ class Sender {
     const { room } = this.link;
     switch (message.kind) {
       case "hello":
+        // It is repeated where there is nothing else to say.
+        if (this.here && this.hello?.hands.join() !== message.hands.join()) room.take({ ...message, sender: this.number }, room.now());
         this.hello = { ...message, sender: this.number };
-        if (this.here) room.take(this.hello, room.now());
         break;
       case "plane":
         for (const plane of this.freshness.push(message, localTime())) {
@@ -231,6 +251,7 @@ class Publication {
     this.next = Date.now();
     this.group = null;
     this.hello = null;
+    this.said = 0;
     connection.publish(Path.join(root, this.path), this.broadcast);
   }
 
@@ -263,8 +284,14 @@ class Publication {
     this.track.writeGroup(this.group);
   }
 
+  // Says the hello again where nothing was said for long: hands that rest are there.
+  repeat() {
+    if (this.hello && localTime() - this.said >= REPEAT) this.write(this.hello);
+  }
+
   // Before the first period there is nothing that a reader could begin with.
   write(payload) {
+    this.said = localTime();
     this.group?.writeFrame({ payload, timestamp: Time.Timestamp.fromMillis(Math.round(localTime())) });
   }
 }
