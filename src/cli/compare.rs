@@ -189,14 +189,16 @@ fn print_poses(files: [(&str, &Motion); 2], found: &Comparison) {
             b.start
         );
     }
+    // Those of two hands are counted together.
+    let counted = if found.hands.len() > 1 { "poses" } else { "frames" };
     for (letter, other, k) in [("A", "B", 0), ("B", "A", 1)] {
         let lost = found.lost_in_other[k];
         let missing = found.unmatched_frames[k] - lost;
         if missing > 0 {
-            outln!("note: {missing} frames of {letter} have none in {other}");
+            outln!("note: {missing} {counted} of {letter} have none in {other}");
         }
         if lost > 0 {
-            outln!("note: in {lost} frames of {letter} the hand is lost in {other}");
+            outln!("note: in {lost} {counted} of {letter} the hand is lost in {other}");
         }
         for side in &found.unmatched_hands[k] {
             outln!("note: only {letter} has a {} hand", side.name());

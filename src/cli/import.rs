@@ -61,7 +61,7 @@ pub struct Args {
     /// Frames per second of a file that tells none, 0.1 to 1000; 30 are taken otherwise.
     #[arg(long, value_name = "HZ", value_parser = rate)]
     input_fps: Option<f64>,
-    /// Keep the couplings of the tracker's model: end joints follow middle joints, the palm is cupped as fingers
+    /// Keep the couplings of the tracker's model: end joints of fingers follow middle joints, the palm is cupped as they
     /// bend. For joints of hands that handcast tracked.
     #[arg(long)]
     tie: bool,
@@ -137,6 +137,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         hand_length: args.hand_length_mm,
         solver: SolverOptions {
             tie: args.tie,
+            thumb: true,
             twists: !args.no_twist,
             dynamic: !args.limits_only,
             ..SolverOptions::default()

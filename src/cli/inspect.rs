@@ -56,6 +56,8 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
                 }
             }
             Err(error @ SyntaxError::NoObject { .. }) => joining = Some(error),
+            // What ends without a plane is no stream.
+            Err(_) if joining.is_some() && total.planes + total.empty == 0 => {}
             Err(error) => {
                 if args.json {
                     let record = serde_json::json!({ "error": error.to_string() });
@@ -89,7 +91,7 @@ fn print(out: &mut impl io::Write, plane: &InspectedPlane, verbose: bool) -> io:
         out,
         "{:>6} {} {:>9.3} s  bits {}-{} ({})  quant {}  mask {}",
         frame.plane,
-        if frame.object_mask == 0 { '-' } else { frame.kind.letter() },
+        plane.letter(),
         frame.time,
         frame.first_bit,
         frame.end_bit,

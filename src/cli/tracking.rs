@@ -186,10 +186,6 @@ fn check_masks(masks: &Path, have: &ClipInfo, clip: &Path, want: &ClipInfo) -> a
     bail!("{}: {have} masks for the {frames} frames of {}", masks.display(), clip.display());
 }
 
-/// Joints that move by less than this share of the hand's length from frame to frame are looked for in every second
-/// one: what a network's joints are off by.
-const STEADY: f64 = 0.02;
-
 /// What made the poses.
 fn made_by() -> String {
     format!("handcast {}", env!("CARGO_PKG_VERSION"))
@@ -467,7 +463,7 @@ fn name_of(bundle: &Bundle) -> String {
 
 /// Networks as a finder of hands.
 fn found_by(bundle: &Bundle) -> anyhow::Result<FinderSource> {
-    let finder = NetFinder::new(bundle, NetFinderOptions::default().with_steady(STEADY))?;
+    let finder = NetFinder::new(bundle, NetFinderOptions::for_tracking())?;
     Ok(FinderSource::new(move || Box::new(finder.clone())))
 }
 

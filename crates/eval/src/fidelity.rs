@@ -43,7 +43,7 @@ pub use summary::{Spread, Worst};
 pub use symmetry::{Symmetry, mirrored, symmetry};
 pub use tracking::{DofError, Observation, TrackingMeter, TrackingReport};
 
-use handcast_hand::{HandPose, Joint, JointAngle, Morphology, PoseClip, Side, Skeleton, TimedPose};
+use handcast_hand::{JointAngle, PoseClip, Side, TimedPose};
 
 /// How far joint angles are from those of a reference: poses that were encoded, or true ones.
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
@@ -105,19 +105,10 @@ pub fn ever_other_than_0(clip: &PoseClip, side: Side) -> Vec<JointAngle> {
     JointAngle::ALL.into_iter().filter(is).collect()
 }
 
-/// Mean distance of the five fingertips between two poses of one hand, metres, wrist on wrist: the
-/// effect of the joint angles alone.
-pub fn fingertip_error(morphology: &Morphology, a: &HandPose, b: &HandPose) -> f64 {
-    let skeleton = Skeleton::new(morphology, a.side);
-    let (fa, fb) = (skeleton.local_frames(&a.angles), skeleton.local_frames(&b.angles));
-    let tips = [Joint::ThumbTip, Joint::IndexTip, Joint::MiddleTip, Joint::RingTip, Joint::PinkyTip];
-    tips.iter().map(|&tip| (fa.position(tip) - fb.position(tip)).norm()).sum::<f64>() / 5.0
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use handcast_hand::PoseHeader;
+    use handcast_hand::{HandPose, PoseHeader};
 
     fn clip(degrees: &[f64]) -> PoseClip {
         let frames = degrees.iter().enumerate().map(|(i, &d)| {
@@ -140,14 +131,5 @@ mod tests {
         let mut found = clip(&[10.0, 20.0, 30.0, 40.0]);
         found.frames.truncate(2);
         assert_eq!(angle_error(&clip(&[10.0, 20.0, 30.0, 40.0]), &found, 30.0).frames, 2);
-    }
-
-    #[test]
-    fn a_bent_index_moves_its_tip_only() {
-        let m = Morphology::default();
-        let a = HandPose::neutral(Side::Left);
-        let b = a.clone().with_degrees(JointAngle::Index3Flexion, 90.0);
-        let expected = m.fingers[1].bones[2] * 2f64.sqrt() / 5.0;
-        assert!((fingertip_error(&m, &a, &b) - expected).abs() < 1e-12);
     }
 }

@@ -113,7 +113,7 @@ fn once_each(mut elements: Vec<Element>, frame: &DecodedFrame) -> Vec<Element> {
 pub struct PlaneRecord {
     /// Number of the plane, from 0.
     pub plane: u64,
-    /// `"I"` or `"P"`.
+    /// `"I"` or `"P"`; `"-"` of a plane without any object, which fills up to a byte.
     pub kind: char,
     /// Time in seconds.
     pub time: f64,
@@ -156,6 +156,11 @@ pub struct ElementRecord {
 }
 
 impl InspectedPlane {
+    /// How it is coded, `I` or `P`; `-` where it is of no object.
+    pub fn letter(&self) -> char {
+        if self.frame.object_mask == 0 { '-' } else { self.frame.kind.letter() }
+    }
+
     /// The plane as a record for printing, with its elements if `verbose`. `ties` are those of the model that the
     /// decoder derives BAPs with.
     pub fn record(&self, verbose: bool, ties: &[Tie]) -> PlaneRecord {
@@ -164,7 +169,7 @@ impl InspectedPlane {
         let elements = if verbose { self.elements.as_slice() } else { &[] };
         PlaneRecord {
             plane: self.frame.plane,
-            kind: self.frame.kind.letter(),
+            kind: self.letter(),
             time: self.frame.time,
             object_mask: self.frame.object_mask,
             skipped: self.frame.skipped,
@@ -207,5 +212,17 @@ mod tests {
             assert_eq!(at + 2, plane.frame.end_bit);
             assert_eq!(plane.bits.total(), plane.frame.end_bit - start);
         }
+    }
+    #[test]
+    fn planes_that_fill_up_to_a_byte_are_told_as_such() {
+        // Its last plane ends two bits before its end code, in which three bits of 0 and stuffing go.
+        let [planes @ .., _, 0, 0, 1, 0xb1] = example_stream() else { panic!() };
+        let filled = [planes, &[0x58, 0x3f, 0, 0, 1, 0xb1]].concat();
+        let letters = |stream: &[u8]| -> Vec<char> {
+            let planes = Inspector::new(stream, DecoderOptions::default());
+            planes.map(|plane| plane.unwrap().record(false, &[]).kind).collect()
+        };
+        assert_eq!(letters(example_stream()), ['I', 'P', 'P']);
+        assert_eq!(letters(&filled), ['I', 'P', 'P', '-']);
     }
 }

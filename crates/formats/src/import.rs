@@ -284,8 +284,6 @@ fn told(clip: &LandmarkClip, source: &Source, options: &ImportOptions) -> Result
     }
     let trial = source.tell_side(options);
     Ok(match clip.side {
-        // Flat hands look alike from both sides.
-        Some(side) if source.flat => Told { side, trial: None, exchanged: false },
         Some(side) => match trial {
             Ok(trial) if trial.side() != side && trial.ratio() > EXCHANGED => {
                 Told { side: trial.side(), trial: Some(trial), exchanged: true }

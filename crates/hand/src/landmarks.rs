@@ -22,7 +22,7 @@ use super::quadratic::constrained_minimum;
 use super::skeleton::THUMB_REST;
 use super::{
     Domain, Finger, HandPose, Jacobian, Joint, JointAngle, JointAngles, Morphology, MorphologyError, Side,
-    Skeleton, limits, thumb_mcp_from_cmc,
+    Skeleton, limits, thumb_mcp_slope,
 };
 
 /// Positions of the 25 joints in the order of [`Joint::ALL`], metres; `None` where one was not seen.
@@ -178,10 +178,12 @@ pub enum LandmarkError {
 /// What [`PoseSolver`] may vary.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SolverOptions {
-    /// Keeps the equalities (2) and (5), so that end joints follow middle joints and the thumb's MCP its
-    /// CMC: the tracker's 21 parameters. Off, each joint bends as the points say; the static limits and
+    /// Keeps equalities (2) and (5) and the cupped palm, so that end joints follow middle joints, the thumb's MCP its CMC,
+    /// and palms the knuckles: the paper's 21 parameters. Off, each joint bends as the points say; the static limits and
     /// the inequalities hold either way.
     pub tie: bool,
+    /// With `tie`, lets the thumb's MCP bend by itself: the tracker's 22 parameters.
+    pub thumb: bool,
     /// Lets fingers and thumb twist; ignored with `tie`.
     pub twists: bool,
     /// Lets the palm bend at the metacarpals' bases; ignored with `tie`.
@@ -194,7 +196,7 @@ pub struct SolverOptions {
 
 impl Default for SolverOptions {
     fn default() -> Self {
-        Self { tie: false, twists: true, palm: false, dynamic: true, max_steps: 30 }
+        Self { tie: false, thumb: false, twists: true, palm: false, dynamic: true, max_steps: 30 }
     }
 }
 
@@ -245,7 +247,10 @@ impl PoseSolver {
     pub fn new(morphology: &Morphology, side: Side, options: SolverOptions) -> Self {
         use JointAngle::*;
         let (variables, domain) = if options.tie {
-            (Domain::FREE.to_vec(), Domain::free())
+            let own: &[JointAngle] = if options.thumb { &[Thumb2Flexion] } else { &[] };
+            let variables = [&Domain::FREE, own].concat();
+            let domain = Domain::over(&variables);
+            (variables, domain)
         } else {
             let fixed = |a: &JointAngle| match a {
                 Index0Flexion | Middle0Flexion | Ring0Flexion | Pinky0Flexion => !options.palm,
@@ -392,7 +397,13 @@ impl PoseSolver {
         for (angle, value) in self.variables.iter().zip(values) {
             angles[angle.index()] = *value;
         }
-        if self.options.tie { Domain::expand(&Domain::reduce(&angles)) } else { angles }
+        if self.options.tie {
+            let mcp = JointAngle::Thumb2Flexion.index();
+            let own = self.options.thumb.then_some(angles[mcp]);
+            angles = Domain::expand(&Domain::reduce(&angles));
+            angles[mcp] = own.unwrap_or(angles[mcp]);
+        }
+        angles
     }
 
     /// For each angle the variable that drives it, and how strongly at this pose.
@@ -410,12 +421,10 @@ impl PoseSolver {
                     out[palm.index()] = at(base).map(|i| (i, palm_slope(finger, angles[base.index()])));
                 }
             }
+        }
+        if self.options.tie && !self.options.thumb {
             let (cmc, mcp) = (JointAngle::Thumb1Flexion, JointAngle::Thumb2Flexion);
-            let h = 1e-6;
-            let slope = (thumb_mcp_from_cmc(angles[cmc.index()] + h)
-                - thumb_mcp_from_cmc(angles[cmc.index()] - h))
-                / (2.0 * h);
-            out[mcp.index()] = at(cmc).map(|i| (i, slope));
+            out[mcp.index()] = at(cmc).map(|i| (i, thumb_mcp_slope(angles[cmc.index()])));
         }
         out
     }
@@ -666,12 +675,15 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(64))]
         #[test]
-        fn exact_points_give_the_pose_back(pose in feasible_pose()) {
+        fn exact_points_give_the_pose_back(pose in feasible_pose(), thumb in -0.2f64..1.0) {
             let morphology = Morphology::average(0.18);
-            for tie in [false, true] {
-                let options = SolverOptions { tie, ..SolverOptions::default() };
+            for (tie, own) in [(false, true), (true, false), (true, true)] {
+                let options = SolverOptions { tie, thumb: own, ..SolverOptions::default() };
                 let mut solver = PoseSolver::new(&morphology, pose.side, options);
                 let mut pose = pose.clone();
+                if own {
+                    pose.set(JointAngle::Thumb2Flexion, thumb);
+                }
                 // Untied, the palm is held flat.
                 for palm in Finger::LONG.into_iter().filter_map(Finger::palm_flexion).filter(|_| !tie) {
                     pose.set(palm, 0.0);

@@ -117,7 +117,8 @@ pub fn outermost(file: &[u8]) -> impl Iterator<Item = Found<MediaBox<'_>>> {
     walk(file, true)
 }
 
-/// The boxes in a box. None may leave its size open (4.2). Behind the first damage there are none.
+/// The boxes in a box. None may leave its size open (4.2), and four bytes of 0 end them (QuickTime File Format, Sample
+/// Description Atoms and User Data Atoms). Behind the first damage there are none.
 pub fn children(content: &[u8]) -> impl Iterator<Item = Found<MediaBox<'_>>> {
     walk(content, false)
 }
@@ -127,6 +128,9 @@ fn walk(bytes: &[u8], is_outermost: bool) -> impl Iterator<Item = Found<MediaBox
     // A box has the eight bytes of its header or more, so that each step goes on.
     std::iter::from_fn(move || {
         let rest = bytes.get(at..).filter(|rest| !rest.is_empty())?;
+        if !is_outermost && rest == [0; 4] {
+            return None;
+        }
         let found = first(rest, at, is_outermost);
         at = found.as_ref().map_or(bytes.len(), |found| at + found.whole.len());
         Some(found)

@@ -23,6 +23,16 @@ fn boxes_follow_one_another() {
 }
 
 #[test]
+fn four_bytes_of_zero_end_the_boxes_in_a_box_as_quicktime_writes_them() {
+    let inner = [boxed(b"avcC", b"x"), vec![0; 4]].concat();
+    assert_eq!((child(&inner, b"pasp"), child(&inner, b"avcC")), (Ok(None), Ok(Some(b"x".as_slice()))));
+    for wrong in [[0, 0, 0, 1, 0].as_slice(), &[0, 0, 1], &[0, 0, 0, 8]] {
+        assert!(child(&[&inner[..9], wrong].concat(), b"pasp").is_err(), "{wrong:?}");
+    }
+    assert!(outermost(&inner).any(|found| found.is_err()));
+}
+
+#[test]
 fn boxes_that_do_not_fit_are_refused() {
     let sizes: [&[u32]; 6] = [&[2], &[7], &[9], &[1, 0, 8], &[1, 0, 99], &[1, 1 << 31, 0]];
     for size in sizes {

@@ -96,13 +96,15 @@ pub(super) fn read(file: &mut (impl Read + Seek), length: u64, limits: &Limits) 
     for trak in all(&moov, b"trak") {
         let trak = match trak {
             Ok(trak) => trak,
-            // What is wrong behind the track is of no matter.
-            Err(_) if chosen.is_some() || other.is_some() => break,
+            // What is wrong behind a track of pictures is of no matter.
+            Err(_) if other.is_some() => break,
             Err(damage) => return Err(cut.map_or(damage.into(), Fault::Truncated)),
         };
         match Track::read(trak, limits, length)? {
-            Ok(track) if chosen.as_ref().is_none_or(|before| track.id < before.id) => chosen = Some(track),
-            Ok(_) => {}
+            Ok(track) => {
+                chosen = Some(track);
+                break;
+            }
             Err(codec) => other = other.or(codec),
         }
     }

@@ -415,9 +415,11 @@ pub fn open(input: impl AsRef<Path>, options: &OpenOptions) -> Result<Box<dyn Fr
 
 /// That a part of a clip, whose last picture is at `last` seconds, has none.
 fn no_such_part(input: &Path, part: Part, last: Option<f64>) -> FrameError {
+    // Digits in which the two differ.
+    let digits = if last.is_some_and(|last| (last - part.from).abs() < 1e-3) { 6 } else { 3 };
     let until = if part.until.is_finite() { format!(" until {:.3} s", part.until) } else { String::new() };
-    let last = last.map_or_else(String::new, |last| format!("; its last one is at {last:.3} s"));
-    let what = format!("{}: no picture lies from {:.3} s on{until}{last}", input.display(), part.from);
+    let last = last.map_or_else(String::new, |last| format!("; its last one is at {last:.digits$} s"));
+    let what = format!("{}: no picture lies from {:.digits$} s on{until}{last}", input.display(), part.from);
     FrameError::Option { what }
 }
 

@@ -137,14 +137,9 @@ pub fn name_of(bundle: &Bundle) -> String {
     format!("{} {}", bundle.palms.digest(), bundle.landmarks.digest())
 }
 
-/// Joints that move by less than this share of the hand's length are looked for in every second frame, as the command has
-/// it.
-const STEADY: f64 = 0.02;
-
 /// Networks as a finder of hands.
 pub fn finder(bundle: &Bundle) -> PyResult<FinderSource> {
-    let finder = NetFinder::new(bundle, NetFinderOptions::default().with_steady(STEADY))
-        .map_err(|error| wrong(&error))?;
+    let finder = NetFinder::new(bundle, NetFinderOptions::for_tracking()).map_err(|error| wrong(&error))?;
     Ok(FinderSource::new(move || Box::new(finder.clone())))
 }
 

@@ -238,11 +238,6 @@ impl GuidedSegmenter {
         let palm = InscribedCircle { centre: figure.palm_centre(), radius: figure.palm_radius() };
         Silhouette { hand, arm: arm.clone(), wrist, palm: Some(palm), clipped }
     }
-
-    /// Share of the picture whose background is known, 0 to 1.
-    pub fn background_known(&self) -> f64 {
-        self.still.known()
-    }
 }
 
 /// Distances from a hand and from its forearm, in hand lengths, on a coarse grid.

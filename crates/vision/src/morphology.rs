@@ -2,19 +2,9 @@
 
 use super::mask::Mask;
 
-/// Grows the set by its 8 neighbours.
-pub fn dilate_square(mask: &Mask) -> Mask {
-    repeat(mask, [true], 0, |a, b| a | b)
-}
-
 /// Shrinks the set by the 8 neighbours of its complement; what lies outside the image does not count.
 pub fn erode_square(mask: &Mask) -> Mask {
     repeat(mask, [true], !0, |a, b| a & b)
-}
-
-/// Grows the set by its 4 neighbours.
-pub fn dilate_cross(mask: &Mask) -> Mask {
-    repeat(mask, [false], 0, |a, b| a | b)
 }
 
 /// Shrinks the set by the 4 neighbours of its complement; what lies outside the image does not count.
@@ -202,14 +192,6 @@ pub fn invert(mask: &Mask) -> Mask {
         out.fill_span(y, 0, mask.width() as i32);
     }
     out.subtract(mask);
-    out
-}
-
-/// Fills the holes (4-connected parts of the complement that do not reach the border) for which `fill` holds.
-pub fn fill_holes(mask: &Mask, fill: impl Fn(&Component) -> bool) -> Mask {
-    let parts = Components::of(&invert(mask), false);
-    let mut out = mask.clone();
-    parts.draw(&mut out, |_, part| !part.on_border && fill(part));
     out
 }
 
@@ -429,9 +411,8 @@ mod tests {
     proptest! {
         #[test]
         fn neighbourhoods_match_pixel_by_pixel(mask in masks()) {
-            prop_assert_eq!(dilate_square(&mask), neighbour_rule(&mask, true, true));
+            prop_assert_eq!(dilate(&mask, 1), neighbour_rule(&mask, false, true));
             prop_assert_eq!(erode_square(&mask), neighbour_rule(&mask, true, false));
-            prop_assert_eq!(dilate_cross(&mask), neighbour_rule(&mask, false, true));
             prop_assert_eq!(erode_cross(&mask), neighbour_rule(&mask, false, false));
             prop_assert_eq!(invert(&invert(&mask)), mask);
         }
@@ -504,16 +485,5 @@ mod tests {
         let mut rest = mask.clone();
         rest.subtract(&opened);
         assert!(Components::of(&rest, true).list.iter().any(|c| c.area > 200));
-    }
-
-    #[test]
-    fn only_closed_holes_are_filled() {
-        let mask = Mask::from_fn(20, 20, |x, y| (3..17).contains(&x) && (3..20).contains(&y));
-        let mut holed = mask.clone();
-        holed.set(8, 8, false);
-        holed.set(9, 19, false);
-        let filled = fill_holes(&holed, |hole| hole.area < 5);
-        assert!(filled.get(8, 8) && !filled.get(9, 19));
-        assert_eq!(fill_holes(&holed, |_| false), holed);
     }
 }

@@ -9,7 +9,7 @@ use super::summary::{Spread, Worst};
 use handcast_codec::{clip_rate, poses_keep};
 use handcast_fba::FrameRate;
 use handcast_formats::motion::Motion;
-use handcast_hand::{Finger, HandPose, Joint, JointAngle, Morphology, PoseClip, Side, Skeleton};
+use handcast_hand::{Finger, HandPose, Joint, JointAngle, Morphology, PoseClip, Side, Skeleton, TimedPose};
 
 /// The tolerance of [`CompareOptions`] when nothing else is said, degrees: what the encoder keeps every joint angle
 /// within at its default settings ([`handcast_fba::plan::PlanOptions::max_error`]).
@@ -353,7 +353,12 @@ fn uneven(clips: [&PoseClip; 2], rates: [Option<f64>; 2]) -> [bool; 2] {
 
 /// The times at which any hand has a pose, in order.
 fn instants(clip: &PoseClip) -> Vec<f64> {
-    let mut times: Vec<f64> = clip.frames.iter().map(|f| f.time).collect();
+    distinct(&clip.frames)
+}
+
+/// The instants of poses, in order.
+fn distinct<'a>(poses: impl IntoIterator<Item = &'a TimedPose>) -> Vec<f64> {
+    let mut times: Vec<f64> = poses.into_iter().map(|pose| pose.time).collect();
     times.sort_by(f64::total_cmp);
     times.dedup_by(|a, b| (*a - *b).abs() < 1e-6);
     times
@@ -387,7 +392,7 @@ fn extent(clip: &PoseClip, keyed: bool) -> Extent {
     let (Some(first), Some(last)) = (times.first(), times.last()) else { return Extent::default() };
     Extent {
         frames: times.len(),
-        lost: clip.frames.iter().filter(|f| !f.valid).count(),
+        lost: distinct(clip.frames.iter().filter(|f| !f.valid)).len(),
         rate: (!keyed).then(|| clip_rate(clip)),
         start: *first,
         seconds: last - first,

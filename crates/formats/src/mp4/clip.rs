@@ -37,7 +37,11 @@ impl<'a> Clip<'a> {
             match &found.kind {
                 // Readers take the first.
                 b"moov" => moov = moov.or(Some(found.content)),
-                b"moof" => return Err(Mp4Error::Unsupported { what: "a clip in fragments is" }),
+                b"moof" => {
+                    return Err(Mp4Error::Unsupported {
+                        what: "a clip in fragments (`ffmpeg -i CLIP -c copy WHOLE.mp4` joins them) is",
+                    });
+                }
                 b"mdat" => media.push(found),
                 _ => {}
             }

@@ -2,7 +2,7 @@
 
 use nalgebra::{Point3, Vector3};
 
-use super::marks::smooth_step;
+use super::marks::{nearness, smooth_step};
 use super::{HandMesh, Mark};
 use crate::{Finger, Joint, Side, linear_from_srgb, srgb_from_linear};
 
@@ -328,26 +328,9 @@ const STROKE_REACH: f32 = 3.0;
 
 /// How much of these lines is at a place, 0 to 1.
 fn strokes_at(strokes: &[Stroke], place: [f32; 3]) -> f32 {
-    let mut most = 0.0f32;
-    for stroke in strokes {
-        let count = stroke.points.len();
-        let reach = (STROKE_REACH * stroke.width).powi(2);
-        for (i, pair) in stroke.points.windows(2).enumerate() {
-            let (a, b) = (pair[0], pair[1]);
-            let (along, off) = ([b[0] - a[0], b[1] - a[1]], [place[0] - a[0], place[1] - a[1]]);
-            let square = (along[0] * along[0] + along[1] * along[1]).max(1e-12);
-            let t = ((off[0] * along[0] + off[1] * along[1]) / square).clamp(0.0, 1.0);
-            let gap = [off[0] - t * along[0], off[1] - t * along[1]];
-            if gap[0] * gap[0] + gap[1] * gap[1] > reach {
-                continue;
-            }
-            let d = gap[0].hypot(gap[1]) / stroke.width;
-            let share = (i as f32 + t) / (count - 1) as f32;
-            let taper = smooth_step(0.0, 0.2, share) * smooth_step(1.0, 0.75, share);
-            most = most.max((-d * d).exp() * taper);
-        }
-    }
-    most
+    let taper = |share| smooth_step(0.0, 0.2, share) * smooth_step(1.0, 0.75, share);
+    let near = |stroke: &Stroke| nearness(&stroke.points, place, stroke.width, STROKE_REACH, taper);
+    strokes.iter().map(near).fold(0.0, f32::max)
 }
 
 /// Along a line with a bow to its left, a share of its length.

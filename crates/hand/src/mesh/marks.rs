@@ -79,6 +79,34 @@ fn dot(a: [f32; 3], b: [f32; 3]) -> f32 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
+/// How near a place is to a line of straight pieces, both seen along z, 0 to 1: exp(−(distance / `width`)²), times what `taper`
+/// makes of the share of the line that lies before the nearest place of a piece, the largest of all pieces. At `far` widths
+/// nothing is left.
+pub(super) fn nearness(
+    line: &[[f32; 2]],
+    place: [f32; 3],
+    width: f32,
+    far: f32,
+    taper: impl Fn(f32) -> f32,
+) -> f32 {
+    let mut most = 0.0f32;
+    let reach = (far * width).powi(2);
+    for (i, pair) in line.windows(2).enumerate() {
+        let (a, b) = (pair[0], pair[1]);
+        let (along, off) = ([b[0] - a[0], b[1] - a[1]], [place[0] - a[0], place[1] - a[1]]);
+        let square = (along[0] * along[0] + along[1] * along[1]).max(1e-12);
+        let t = ((off[0] * along[0] + off[1] * along[1]) / square).clamp(0.0, 1.0);
+        let gap = [off[0] - t * along[0], off[1] - t * along[1]];
+        if gap[0] * gap[0] + gap[1] * gap[1] > reach {
+            continue;
+        }
+        let distance = gap[0].hypot(gap[1]) / width;
+        let share = (i as f32 + t) / (line.len() - 1) as f32;
+        most = most.max((-distance * distance).exp() * taper(share));
+    }
+    most
+}
+
 pub(super) fn smooth_step(from: f32, to: f32, v: f32) -> f32 {
     let t = ((v - from) / (to - from)).clamp(0.0, 1.0);
     t * t * (3.0 - 2.0 * t)
@@ -178,8 +206,9 @@ impl SkinMarks {
         }
         if p[2] > 0.0 {
             let front = smooth_step(0.0, 0.006, p[2]);
+            let taper = |share| smooth_step(0.0, 0.25, share) * smooth_step(1.0, 0.7, share);
             for line in &self.lines {
-                mark.crease = mark.crease.max(front * self.depth_of_line(line, p));
+                mark.crease = mark.crease.max(front * nearness(line, p, 1.2 * self.width, FAR, taper));
             }
         }
         for Nail(rows) in &self.nails {
@@ -198,27 +227,6 @@ impl SkinMarks {
             mark.pale = mark.pale.max(root.max(edge));
         }
         mark
-    }
-
-    fn depth_of_line(&self, line: &[[f32; 2]; LINE_POINTS], p: [f32; 3]) -> f32 {
-        let mut deepest = 0.0f32;
-        let reach = (FAR * 1.2 * self.width).powi(2);
-        for (i, pair) in line.windows(2).enumerate() {
-            let (a, b) = (pair[0], pair[1]);
-            let (along, off) = ([b[0] - a[0], b[1] - a[1]], [p[0] - a[0], p[1] - a[1]]);
-            let square = (along[0] * along[0] + along[1] * along[1]).max(1e-12);
-            let t = ((off[0] * along[0] + off[1] * along[1]) / square).clamp(0.0, 1.0);
-            let gap = [off[0] - t * along[0], off[1] - t * along[1]];
-            if gap[0] * gap[0] + gap[1] * gap[1] > reach {
-                continue;
-            }
-            let distance = gap[0].hypot(gap[1]);
-            // Lines run out at their ends.
-            let share = (i as f32 + t) / (LINE_POINTS - 1) as f32;
-            let taper = smooth_step(0.0, 0.25, share) * smooth_step(1.0, 0.7, share);
-            deepest = deepest.max((-(distance / (1.2 * self.width)).powi(2)).exp() * taper);
-        }
-        deepest
     }
 }
 

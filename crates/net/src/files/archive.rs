@@ -51,7 +51,7 @@ impl Found {
     /// All networks that find hands in a file or folder. Beside a `.tflite` file the other network is looked for, too.
     ///
     /// # Errors
-    /// Where the file or folder itself cannot be read, or is nothing that may hold networks.
+    /// Where the file or folder itself cannot be read, or is nothing that may hold networks, or another network.
     pub fn at(path: &Path) -> Result<Self> {
         let mut found = Self::default();
         if std::fs::metadata(path).map_err(io(path))?.is_dir() {
@@ -60,6 +60,10 @@ impl Found {
         }
         found.file(path)?;
         if begins(path)?.get(4..8) == Some(NETWORK) {
+            if found.networks.is_empty() {
+                let what = "a network that finds neither palms nor the joints of hands".to_owned();
+                return Err(Error::Archive { path: path.to_owned(), what });
+            }
             found.beside(path);
         }
         Ok(found)

@@ -68,6 +68,12 @@ impl Default for NetFinderOptions {
 }
 
 impl NetFinderOptions {
+    /// Those of a finder beside the tracker: joints that move by less than a network's are off by (0.02 of the hand's length)
+    /// are looked for in every second picture.
+    pub fn for_tracking() -> Self {
+        Self::default().with_steady(0.02)
+    }
+
     /// At most so many hands.
     pub fn with_hands(mut self, hands: usize) -> Self {
         self.hands = hands;

@@ -7,6 +7,8 @@ use handcast_hand::{HandPose, PoseClip, Side, TimedPose};
 /// One hand of a motion, with times from the motion's first frame.
 pub(super) struct Track<'a> {
     pub(super) poses: Vec<&'a TimedPose>,
+    /// Those of them that are valid.
+    valid: Vec<&'a TimedPose>,
     /// Where poses are missing; none in keyed motions.
     gaps: Vec<Gap>,
     start: f64,
@@ -61,6 +63,7 @@ impl<'a> Track<'a> {
         let slack = extent.rate.map_or(1e-3, |rate| 0.5 / rate + 1e-6);
         Self {
             poses: clip.of(side).collect(),
+            valid: clip.of(side).filter(|pose| pose.valid).collect(),
             gaps: if extent.rate.is_some() { gaps(clip, side) } else { Vec::new() },
             start: extent.start,
             slack,
@@ -137,9 +140,9 @@ impl<'a> Track<'a> {
 
     /// The valid poses before and after an instant.
     fn about(&self, time: f64) -> [Option<&'a TimedPose>; 2] {
-        let after = self.poses.partition_point(|p| p.time - self.start <= time);
-        let (before, behind) = self.poses.split_at(after);
-        [before.iter().rev().find(|p| p.valid), behind.iter().find(|p| p.valid)].map(|p| p.copied())
+        let after = self.valid.partition_point(|p| p.time - self.start <= time);
+        let (before, behind) = self.valid.split_at(after);
+        [before.last(), behind.first()].map(|pose| pose.copied())
     }
 
     /// Whether a pose at an instant at which `other` has the hand lost is what a format makes of it that cannot say so: the
