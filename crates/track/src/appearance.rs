@@ -27,7 +27,7 @@ tuning! {
         ["samples", "spec/registration.md 5, Choice"]
         pub compared_samples: f64 = 200.0,
         /// Independent samples of luminance as which it counts when bones are turned.
-        ["samples", "spec/registration.md 5, what refined sizes and a weaker gradient of shading gain"]
+        ["samples", "spec/experiments.md, Refined sizes, limited tilt, weaker shading"]
         pub gradient_samples: f64 = 50.0,
         /// Standard deviation of luminance that noise and texture leave.
         ["levels", "chosen by eye"]
@@ -42,7 +42,7 @@ tuning! {
         ["samples", "chosen by eye"]
         pub fewest: usize = 50,
         /// Every how many squares of the picture one is sampled, each way.
-        ["squares of 2 pixels", "spec/registration.md 5, what the speed cost"]
+        ["squares of 2 pixels", "spec/experiments.md, Speed"]
         pub stride: usize = 2,
         /// Samples that a cell's mean is taken over, at most.
         ["samples", "chosen by eye"]
@@ -112,14 +112,22 @@ pub(super) struct Appearance {
     samples: Vec<LumaSample>,
     /// For each primitive gradient and curvature by its turn.
     by_turn: Vec<(Vector3<f32>, Matrix3<f32>)>,
-    /// For each primitive the cells of its surface.
-    relief: Vec<[Cell; CELLS]>,
+    relief: Relief,
 }
+
+/// What shading leaves of a hand: for each primitive the cells of its surface.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Relief(Vec<[Cell; CELLS]>);
 
 impl Appearance {
     /// An appearance without relief.
     pub(super) fn new(tuning: AppearanceTuning) -> Self {
         Self { tuning, ..Self::default() }
+    }
+
+    /// Exchanges the relief that has been learnt for another.
+    pub(super) fn exchange_relief(&mut self, other: &mut Relief) {
+        std::mem::swap(&mut self.relief, other);
     }
 
     /// How well the picture is explained. Nothing of it without a picture or model.
@@ -183,7 +191,8 @@ impl Appearance {
         let AppearanceTuning { outlier, memory, .. } = self.tuning;
         for sample in &self.samples {
             let residual = (sample.value - product(&light, &sample.terms)).clamp(-outlier, outlier);
-            if let Some(cell) = self.relief.get_mut(sample.part).and_then(|cells| cells.get_mut(sample.cell))
+            if let Some(cell) =
+                self.relief.0.get_mut(sample.part).and_then(|cells| cells.get_mut(sample.cell))
             {
                 cell.samples = (cell.samples + 1).min(memory);
                 cell.mean += residual / f32::from(cell.samples);
@@ -199,7 +208,7 @@ impl Appearance {
         }
         self.cover.draw(primitives, spheres, scale, evidence.window(), self.tuning.stride);
         let origin = evidence.window().origin();
-        self.relief.resize(primitives.len(), [Cell::default(); CELLS]);
+        self.relief.0.resize(primitives.len(), [Cell::default(); CELLS]);
         self.surfaces.clear();
         self.surfaces.extend(primitives.iter().map(|p| Surface::of(p, spheres, origin, scale)));
         self.samples.clear();
@@ -209,7 +218,7 @@ impl Appearance {
             if !silhouette.get(place[0] as u32, place[1] as u32) {
                 continue;
             }
-            let known = self.surfaces.get(part).zip(self.relief.get(part)).zip(luma.get(y * width + x));
+            let known = self.surfaces.get(part).zip(self.relief.0.get(part)).zip(luma.get(y * width + x));
             let Some(((surface, relief), value)) = known else { continue };
             let n = surface.normal(place);
             let cell = surface.cell(place);

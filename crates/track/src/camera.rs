@@ -19,8 +19,8 @@ impl PinholeCamera {
         Self { width, height, focal: half / (0.5 * degrees.to_radians()).tan() }
     }
 
-    /// The same camera with images of 1/`factor` of the size; what does not divide is cut off on the right
-    /// and below.
+    /// The same camera with images of 1/`factor` of the size; what does not divide on the right
+    /// and below counts as a whole pixel.
     #[must_use]
     pub fn reduced(&self, factor: u32) -> Self {
         let factor = factor.max(1);

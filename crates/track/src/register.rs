@@ -35,6 +35,7 @@ pub use prior::{OpenState, Prior, PriorTuning};
 pub use sizes::SizesTuning;
 pub use solver::Registered;
 
+use super::appearance::Relief;
 use super::evidence::Evidence;
 use super::model::HandModel;
 use super::normal_equations::NormalEquations;
@@ -42,6 +43,7 @@ use super::state::ModelState;
 use flow::FlowTracker;
 use hypotheses::Hypotheses;
 pub(super) use hypotheses::largest_difference;
+use postures::PostureLibrary;
 use sizes::Sizes;
 use solver::{Scene, Solver};
 
@@ -69,6 +71,13 @@ impl Turn {
 pub(super) struct Progress {
     mean_cost: Option<f64>,
     frame: usize,
+}
+
+/// What is known of the side of the hand that faces the camera.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Face {
+    library: Option<PostureLibrary>,
+    relief: Relief,
 }
 
 /// Registers a model on evidence. Holds the buffers, so that it allocates nothing once they have grown.
@@ -108,7 +117,7 @@ impl Registration {
 
     /// Moves `state`, the last one, to where model and evidence agree best: from the predicted state and, in most frames
     /// unless that leads to where a finder has seen the joints, from the same with fingers in other postures, and from what
-    /// was found with one finger folded more or less; and, in turns while the frame costs no more than the last ones, from
+    /// was found with one finger folded more or less, or stretched out; and, in turns while the frame costs no more than the last ones, from
     /// the last state, from a thumb bent across the palm, from hands whose fingers close together, and from known postures
     /// with similar silhouettes.
     pub fn register(
@@ -172,6 +181,7 @@ impl Registration {
             solver.try_hypothesis(scene, bent, state, best);
         }
         hypotheses::try_folded(solver, scene, state, best);
+        hypotheses::try_stretched(solver, scene, state, best);
         if due(Turn::Closing)
             && let Some(closing) = hypotheses::closing_hand(solver, scene, state, best.rate)
         {
@@ -194,6 +204,13 @@ impl Registration {
     /// Goes back there.
     pub(super) fn go_back(&mut self, to: Progress) {
         (self.mean_cost, self.frame) = (to.mean_cost, to.frame);
+    }
+
+    /// Exchanges what is known of the side of the hand that faces the camera: silhouettes and creases of a palm are not those
+    /// of its back.
+    pub(super) fn exchange_face(&mut self, face: &mut Face) {
+        std::mem::swap(&mut self.hypotheses.library, &mut face.library);
+        self.solver.exchange_relief(&mut face.relief);
     }
 
     /// Forgets the mean cost and what the hand looked like: every hypothesis is tried on the next frame.

@@ -9,7 +9,9 @@ use super::evidence::{Evidence, SizeMismatch};
 use super::fit::{Fit, View};
 use super::forearm::Forearm;
 use super::model::HandModel;
-use super::register::{OpenState, Prior, Registered, Registration, RegistrationOptions, largest_difference};
+use super::register::{
+    Face, OpenState, Prior, Registered, Registration, RegistrationOptions, largest_difference,
+};
 use super::sighted::SightedPose;
 use super::state::ModelState;
 use handcast_hand::{Domain, FREE_ANGLES, FreeAngles, Morphology, Side};
@@ -258,7 +260,10 @@ impl HandTracker {
 
     /// Goes back to the open hand of the fit, to track again from there in the other direction of time.
     pub fn rewind(&mut self) {
-        self.open.state.rotation = self.begins_turned;
+        if self.open.state.rotation != self.begins_turned {
+            self.open.state.rotation = self.begins_turned;
+            self.registration.exchange_face(&mut Face::default());
+        }
         self.unexplained = 0;
         self.last = self.open.state.clone();
         self.before = None;
@@ -375,6 +380,8 @@ impl HandTracker {
         let turn = along(&state.rotation) - along(&open.rotation);
         let [gain, least] = t.turned_gain;
         let over = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), std::f64::consts::PI);
+        let mut face = Face::default();
+        self.registration.exchange_face(&mut face);
         // The arm where it was, or where the hand seems to point.
         for turn in [0.0, turn] {
             let rotation = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn) * open.rotation * over;
@@ -387,7 +394,9 @@ impl HandTracker {
             {
                 return Some((turned, found));
             }
+            self.registration.exchange_face(&mut Face::default());
         }
+        self.registration.exchange_face(&mut face);
         self.open.state.rotation = open.rotation;
         self.registration.go_back(progress);
         None

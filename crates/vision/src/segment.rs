@@ -295,7 +295,7 @@ impl Segmenter {
 
     /// As [`Segmenter::learn`], from pictures in order of time of a camera that may stand still: where much is coloured
     /// like skin that does not move while something else does, the hand is learnt by its motion, if it is then seen open
-    /// at least as often.
+    /// more often.
     ///
     /// # Errors
     /// As [`Segmenter::learn`].
@@ -309,7 +309,6 @@ impl Segmenter {
             return by_colour;
         }
         let full: Vec<RgbImage> = samples.iter().map(|s| shrunk(s, options.max_side)).collect();
-        let by_motion = Self::by_motion((&small, &full), &swept, options).with_bars(samples);
         // What hardly moves is no hand, open or not.
         let coloured = match &by_colour {
             Ok(by_colour) if agree >= t.tell_nothing => {
@@ -317,7 +316,12 @@ impl Segmenter {
             }
             _ => 0,
         };
-        let enough = t.least_open.max(coloured);
+        // Where both show it as often, the colours stay: motion takes a part of a hand that rests for background.
+        let enough = if coloured > 0 { t.least_open.max(coloured + 1) } else { t.least_open };
+        if enough > full.len() {
+            return by_colour;
+        }
+        let by_motion = Self::by_motion((&small, &full), &swept, options).with_bars(samples);
         let open = by_motion.clone().times_open(&full, None, (enough, enough));
         if open >= enough { Ok(by_motion) } else { by_colour }
     }

@@ -313,7 +313,8 @@ impl SightedTrails {
                 trail.seen += 1;
                 trail.presence += hand.presence;
                 let limit = t.most_sum;
-                let odds = hand.presence * odds_of(hand, &t);
+                // What goes on from an earlier frame is no evidence of its own.
+                let odds = if hand.age == 0 { hand.presence * odds_of(hand, &t) } else { 0.0 };
                 trail.odds = (trail.odds + odds).clamp(-limit, limit);
             }
             let presence = trail.presence / trail.seen.max(1) as f64;
@@ -463,8 +464,8 @@ fn open_state(hand: &Sighting, view: View, morphology: &Morphology) -> ModelStat
     state
 }
 
-/// The hands in frames that waited: those that were seen in most of them, one or two, one of each side.
-pub(super) fn first_hands(waiting: &[Waiting], options: &ClipOptions) -> Vec<Hand> {
+/// The trails in frames that waited which are of hands, by what is known of them in the last frame that shows them.
+pub(super) fn trails_of_hands(waiting: &[Waiting], tuning: &SightedTuning) -> Vec<(usize, Known)> {
     let mut trails: Vec<(usize, Known)> = Vec::new();
     for w in waiting {
         for (link, known) in w.links.iter().zip(&w.known) {
@@ -475,9 +476,15 @@ pub(super) fn first_hands(waiting: &[Waiting], options: &ClipOptions) -> Vec<Han
             }
         }
     }
+    let least = tuning.least_seen.min(waiting.len().div_ceil(2));
+    trails.retain(|(_, known)| known.seen >= least && known.presence >= tuning.least_presence);
+    trails
+}
+
+/// The hands in frames that waited: those that were seen in most of them, one or two, one of each side.
+pub(super) fn first_hands(waiting: &[Waiting], options: &ClipOptions) -> Vec<Hand> {
     let t = &options.tuning.sighted;
-    let least = t.least_seen.min(waiting.len().div_ceil(2));
-    trails.retain(|(_, known)| known.seen >= least && known.presence >= t.least_presence);
+    let mut trails = trails_of_hands(waiting, t);
     trails.sort_by_key(|(_, known)| std::cmp::Reverse(known.seen));
     trails.truncate(if options.side.is_some() { trails.len() } else { 2 });
     let at = |w: &Waiting, id: usize| {

@@ -8,7 +8,7 @@ use image::RgbImage;
 
 use super::contest::Contest;
 use super::hands::{Hand, Seen};
-use super::sighted::{Known, first_hands};
+use super::sighted::{Known, first_hands, trails_of_hands};
 use super::silhouettes::{Search, Segmented};
 use super::trails::{Link, Trails, radius};
 use super::{ClipError, ClipOptions, Exposure, HandStart, Start, open_hand};
@@ -305,6 +305,11 @@ impl Lookout {
         let undecided = self.waiting.last().is_some_and(|w| !w.known.iter().all(settled));
         let patience = if undecided { t.undecided } else { options.tuning.start.candidates };
         let enough = self.opened.first().is_some_and(|(_, first)| waited >= first + patience);
+        if enough && !self.limited && trails_of_hands(&self.waiting, t).is_empty() {
+            // What seemed to be one has come to look less like it: the next is waited for.
+            self.opened.clear();
+            return Ok(false);
+        }
         Ok(self.limited || enough)
     }
 

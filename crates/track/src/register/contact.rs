@@ -14,10 +14,10 @@ tuning! {
     /// How near neighbouring fingers may come.
     pub struct ContactTuning {
         /// Distance that the axes of two capsules keep: share of the sum of their mean radii. Fingers are soft.
-        ["1", "spec/registration.md 5, what firm priors gain"]
+        ["1", "spec/experiments.md, Firm priors"]
         pub distance: f64 = 0.8,
         /// Standard deviation of how much nearer they are.
-        ["m", "spec/registration.md 5, what firm priors gain"]
+        ["m", "spec/experiments.md, Firm priors"]
         pub deviation: f64 = 0.001,
     }
 }

@@ -36,7 +36,7 @@ tuning! {
         ["points", "chosen by eye"]
         pub fewest: usize = 30,
         /// Standard deviation of luminance that noise and light leave from one frame to the next.
-        ["levels", "spec/tracking.md 8: 6 and 10 compared"]
+        ["levels", "spec/experiments.md, Motion prediction: 6 and 10 compared"]
         pub noise: f64 = 6.0,
         /// Difference that counts as an outlier: something else is in front.
         ["levels", "chosen by eye"]

@@ -12,7 +12,7 @@ tuning! {
     /// Which hypotheses are tried besides the predicted state, and when.
     pub struct HypothesisTuning {
         /// How much more than the mean of the last frames one may cost before every hypothesis is tried on it.
-        ["1", "spec/registration.md 5, what the speed cost: by 20 instead nothing changes"]
+        ["1", "spec/experiments.md, Speed: by 20 instead nothing changes"]
         pub unlikely_beyond: f64 = 100.0,
         /// Share of a new frame in that mean when it costs less.
         ["1", "chosen by eye"]
@@ -28,7 +28,7 @@ tuning! {
         ["rad", "spec/registration.md 5, Hypotheses"]
         pub thumb_beyond: f64 = 0.4,
         /// Rounds in which the hand is moved as a whole before its fingers are tried in other postures.
-        ["rounds", "spec/registration.md 5, what firm priors gain"]
+        ["rounds", "spec/experiments.md, Firm priors"]
         pub rigid_rounds: usize = 2,
         /// Difference of every joint angle below which a finger's posture is the present one.
         ["rad", "chosen by eye"]
@@ -46,6 +46,13 @@ tuning! {
         /// Cost that such a hypothesis must gain, and that it may cost more before any round.
         ["1", "spec/registration.md 5, Hypotheses"]
         pub folded_gain: f64 = 8.0,
+        /// MCP and PIP flexion together, more than in the open hand, from which on a long finger that is not folded is tried
+        /// stretched out.
+        ["rad", "chosen by eye"]
+        pub stretched_from: f64 = 0.2,
+        /// How much more than what was found such a finger may cost before any round.
+        ["1", "spec/registration.md 5, Hypotheses"]
+        pub stretched_margin: f64 = 16.0,
         /// Flexion, abduction and IP flexion of the closed thumb.
         ["rad", "chosen by eye"]
         pub closed_thumb: [f64; 3] = [0.35, 0.7, 0.8],
@@ -59,7 +66,7 @@ tuning! {
         ["steps", "spec/registration.md 5, Hypotheses"]
         pub closing_steps: u32 = 5,
         /// How much more than that of the present state the non-overlap rate of a closing hand may be, before any round.
-        ["1", "spec/registration.md 5, what the speed cost"]
+        ["1", "spec/experiments.md, Speed"]
         pub promising: f64 = 0.1,
         /// Difference of every joint angle, and of the tilt, within which a closing hand is reached by moving on.
         ["rad", "chosen by eye"]
@@ -80,7 +87,7 @@ tuning! {
 #[derive(Clone, Debug, Default)]
 pub(super) struct Hypotheses {
     /// Drawn at the first frame that asks for it.
-    library: Option<PostureLibrary>,
+    pub(super) library: Option<PostureLibrary>,
     /// Known postures to be tried, by cost.
     known: Vec<(f64, ModelState)>,
 }
@@ -210,6 +217,32 @@ pub(super) fn try_folded(
                     (*state, *best) = (other, found);
                 }
             }
+        }
+    }
+}
+
+/// Tries each long finger that is bent a little stretched out as in the open hand, and keeps what costs less: a finger that
+/// looks shorter may also lie otherwise, and rounds do not lead back from where the prior of the open hand has faded.
+pub(super) fn try_stretched(
+    solver: &mut Solver,
+    scene: &mut Scene<'_>,
+    state: &mut ModelState,
+    best: &mut Registered,
+) {
+    let HypothesisTuning { folded_from, stretched_from, stretched_margin, .. } = solver.tuning.hypotheses;
+    let open = &scene.prior.open.state.free;
+    for finger in Finger::LONG {
+        let flexions = [finger.free_base(), finger.free_outer()];
+        let bent: f64 = flexions.iter().map(|&k| state.free[k]).sum();
+        let more: f64 = flexions.iter().map(|&k| state.free[k] - open[k]).sum();
+        if bent >= folded_from || more < stretched_from {
+            continue;
+        }
+        let mut other = state.clone();
+        flexions.iter().for_each(|&k| other.free[k] = open[k]);
+        solver.bring_inside(scene.prior, &mut other);
+        if solver.score(scene, &other).cost < best.cost + stretched_margin {
+            solver.try_hypothesis(scene, other, state, best);
         }
     }
 }

@@ -83,7 +83,7 @@ tuning! {
     /// How the outlines of model and image are paired, and what a pair tells.
     pub struct PairingTuning {
         /// Distance of points along the model's outline.
-        ["hand lengths", "spec/registration.md 5, what the speed cost: 3 % instead loses 0.005 of IoU"]
+        ["hand lengths", "spec/experiments.md, Speed: 3 % instead loses 0.005 of IoU"]
         pub spacing: f64 = 0.02,
         /// The same along the image's outline, by comparison.
         ["1", "chosen by eye"]
@@ -92,7 +92,7 @@ tuning! {
         ["1", "chosen by eye"]
         pub facing: f64 = 0.4,
         /// Standard deviation of an outline of the image.
-        ["hand lengths", "spec/registration.md 5, what the forearm's breadth gained; handcast bench track CLIP"]
+        ["hand lengths", "spec/experiments.md, Forearm breadth; handcast bench track CLIP"]
         pub noise: f64 = 0.009,
         /// Length of outline over which its errors go together.
         ["hand lengths", "chosen by eye: two spacings"]
@@ -107,7 +107,7 @@ tuning! {
     /// The rounds of pairing and solving from one hypothesis.
     pub struct RoundTuning {
         /// Most rounds.
-        ["rounds", "spec/registration.md 5, what the speed cost: 8 instead gain less than 0.0005 of IoU"]
+        ["rounds", "spec/experiments.md, Speed: 8 instead gain less than 0.0005 of IoU"]
         pub most: usize = 6,
         /// A round that moves nothing by more than this is the last.
         ["hand lengths, rad", "chosen by eye"]
@@ -125,7 +125,7 @@ tuning! {
         ["rounds", "spec/registration.md 5, Hypotheses"]
         pub pruned_after: usize = 3,
         /// How much more than the best a hypothesis may cost then.
-        ["1", "spec/registration.md 5, Hypotheses: by 60 a real fist was read as a tilted open hand"]
+        ["1", "spec/experiments.md, Pruning of hypotheses: by 60 a real fist was read as a tilted open hand"]
         pub pruned_beyond: f64 = 100.0,
     }
 }

@@ -37,7 +37,7 @@ tuning! {
         pub thumb: [[f64; 3]; THUMB_POSTURES] = [[0.0, 12.0, 5.0], [28.0, 20.0, 15.0], [34.0, 44.0, 40.0]],
         /// How far a hand may be turned in the image, each way, from where it is thought to be: who takes one finger
         /// for its neighbour turns the whole hand.
-        ["rad", "spec/registration.md 5, what known postures in three turns gain"]
+        ["rad", "spec/experiments.md, Known postures in three orientations"]
         pub turn: f64 = 0.2,
         /// Side of a cell of the small silhouettes.
         ["hand lengths", "chosen by eye: a hand fits in 32 cells"]

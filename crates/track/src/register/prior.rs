@@ -45,17 +45,17 @@ tuning! {
         ["rad", "chosen by eye"]
         pub turn_motion: f64 = 0.3,
         /// Standard deviation of the turn about either other axis from the predicted one.
-        ["rad", "spec/registration.md 5, what firm priors gain; handcast bench track CLIP --no-methods"]
+        ["rad", "spec/experiments.md, Firm priors; handcast bench track CLIP --no-methods"]
         pub tilt_motion: f64 = 0.06,
         /// Standard deviation of the logarithm of the scale from that of the predicted one.
         ["1", "chosen by eye"]
         pub scale_motion: f64 = 0.04,
         /// Standard deviation of a long finger's abduction from that of the open hand, which shrinks as the finger
         /// bends (eq. 3).
-        ["rad", "spec/registration.md 5, what firm priors gain; handcast bench track CLIP --no-methods"]
+        ["rad", "spec/experiments.md, Firm priors; handcast bench track CLIP --no-methods"]
         pub abduction: f64 = 0.07,
         /// Standard deviation of the thumb's abduction from that of the open hand.
-        ["rad", "spec/registration.md 5, what the cupped palm and the thumb's prior gain"]
+        ["rad", "spec/experiments.md, Cupped palm and thumb prior"]
         pub thumb_abduction: f64 = 0.15,
         /// MCP flexion per PIP flexion of a long finger.
         ["1", "spec/registration.md 5, Prior"]
@@ -64,7 +64,7 @@ tuning! {
         ["rad", "spec/registration.md 5, Prior"]
         pub flexion_ratio_deviation: f64 = 0.15,
         /// Standard deviation of the thumb's MCP flexion from eq. (5).
-        ["rad", "spec/registration.md 5, what the cupped palm and the thumb's prior gain"]
+        ["rad", "spec/experiments.md, Cupped palm and thumb prior"]
         pub thumb_mcp: f64 = 0.2,
         /// The thumb's IP flexion per MCP flexion.
         ["1", "spec/registration.md 5, Prior"]
@@ -85,21 +85,21 @@ tuning! {
         ["rad", "fists recorded by a headset and scripted ones: 80 to 90 and 90 to 100 degrees"]
         pub closed: [f64; 2] = [1.5, 1.7],
         /// Standard deviation of a flexion from that of a fist, while it is near to it, where a finder sees joints.
-        ["rad", "spec/registration.md 5, what the fist's prior gains"]
+        ["rad", "spec/experiments.md, Fist prior"]
         pub closed_flexion: f64 = 0.45,
         /// Difference from the fist's flexion at which that prior has faded.
-        ["rad", "spec/registration.md 5, what the fist's prior gains"]
+        ["rad", "spec/experiments.md, Fist prior"]
         pub closed_reach: f64 = 0.4,
         /// Standard deviation of the tilt from that of the open hand. Silhouettes hardly show it, and wrong postures
         /// seek it.
-        ["rad", "spec/registration.md 5, what firm priors gain; handcast bench track CLIP --no-methods"]
+        ["rad", "spec/experiments.md, Firm priors; handcast bench track CLIP --no-methods"]
         pub tilt: f64 = 0.05,
         /// Tilt beyond which more costs hardly more while the fingers are as in the open hand.
-        ["rad", "spec/registration.md 5, what the limit of the tilt's prior gains"]
+        ["rad", "spec/experiments.md, Refined sizes, limited tilt, weaker shading"]
         pub tilt_reach: f64 = 0.2,
         /// How much farther that is for fingers whose MCP and PIP joints are together a radian from the open hand; it
         /// goes with the square. Bent fingers and a tilt are easily taken for each other.
-        ["rad per rad²", "spec/registration.md 5, what the limit of the tilt's prior gains"]
+        ["rad per rad²", "spec/experiments.md, Refined sizes, limited tilt, weaker shading"]
         pub tilt_reach_bent: f64 = 1.0,
         /// Standard deviation of the logarithm of the scale from that of the open hand.
         ["1", "spec/registration.md 5, Prior"]

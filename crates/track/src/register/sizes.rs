@@ -40,7 +40,7 @@ tuning! {
         ["hand lengths", "spec/registration.md 5, Sizes; handcast bench track CLIP --no-methods"]
         pub lateral: f64 = 0.02,
         /// Factor of the thumb's deviations: how it is turned is uncertain, and its flesh would make up for it.
-        ["1", "spec/registration.md 5, what the forearm's breadth gained"]
+        ["1", "spec/experiments.md, Forearm breadth"]
         pub thumb: f64 = 0.6,
         /// Of a web.
         ["bones", "spec/registration.md 5, Sizes"]
@@ -55,17 +55,17 @@ tuning! {
         ["1", "spec/registration.md 5, Sizes"]
         pub wrist: f64 = 0.16,
         /// Of the logarithm of the forearm's breadth over the wrist's.
-        ["1", "spec/registration.md 5, what the forearm's breadth gained"]
+        ["1", "spec/experiments.md, Forearm breadth"]
         pub forearm: f64 = 0.3,
         /// Of the hand's length, which no picture shows: the fit was told it.
         ["hand lengths", "none: small enough to hold it"]
         pub hand_length: f64 = 1e-4,
         /// Difference of a finger's joint angle from the open hand at which either end of a piece of its outline has
         /// half its weight.
-        ["rad", "spec/registration.md 5, what the finer sizes gain"]
+        ["rad", "spec/experiments.md, Finer sizes and image motion"]
         pub half_open: f64 = 0.8,
         /// Frames err alike: however many there are, they count as so many.
-        ["frames", "spec/registration.md 5, what the finer sizes gain"]
+        ["frames", "spec/experiments.md, Finer sizes and image motion"]
         pub effective_frames: f64 = 10.0,
         /// Every how many frames one is taken: neighbours say the same.
         ["frames", "spec/registration.md 5, Sizes"]
