@@ -199,7 +199,7 @@ fn names_of_a_mirrored_picture_are_exchanged_where_the_shape_says_so() {
 fn joints_in_pictures_alone_give_the_pose_under_a_camera() {
     let folder = tempfile::tempdir().unwrap();
     let truth = clip(&[Side::Left]);
-    let lines = |deep: bool, pixels: bool| -> String {
+    let called = |name: &str, deep: bool, pixels: bool| -> String {
         let result = |frame: &TimedPose| {
             let scale = if pixels { SIZE } else { [1.0, 1.0] };
             let points = seen(&frame.pose).0.into_iter().map(|[x, y, z]| {
@@ -210,10 +210,11 @@ fn joints_in_pictures_alone_give_the_pose_under_a_camera() {
                 point
             });
             let points: Vec<Value> = points.collect();
-            format!("{}\n", json!({ "t": frame.time, "landmarks": [points], "handedness": ["Left"] }))
+            format!("{}\n", json!({ "t": frame.time, "landmarks": [points], "handedness": [name] }))
         };
         truth.frames.iter().map(result).collect()
     };
+    let lines = |deep: bool, pixels: bool| called("Left", deep, pixels);
     let size = ["--image-size", "1280x720", "--hand-length-mm", "185"];
     for (deep, pixels) in [(true, false), (true, true), (false, true)] {
         let (poses, said) = imported(folder.path(), "flat.jsonl", &lines(deep, pixels), &size);
@@ -225,6 +226,11 @@ fn joints_in_pictures_alone_give_the_pose_under_a_camera() {
         );
         assert!(bends < 3.0 && turned < 5.0 && moved < 0.02, "{bends}° {turned}° {moved} m");
     }
+    // Names are those of mirrored pictures here, too.
+    let (poses, said) = imported(folder.path(), "called.jsonl", &called("Right", true, false), &size);
+    assert!(said.contains("the hand called right fits as a left one"), "{said}");
+    let [bends, turned, _] = apart(&truth, &poses);
+    assert!(bends < 3.0 && turned < 5.0, "{bends}° {turned}°");
     // A camera that sees half as much stands twice as far away.
     let narrow = [&size[..], &["--fov", "32.2"]].concat();
     let (poses, _) = imported(folder.path(), "narrow.jsonl", &lines(true, false), &narrow);

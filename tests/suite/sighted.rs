@@ -125,6 +125,15 @@ fn tracked_with(
             (synth.time(i), if seen(i) { vec![hand] } else { Vec::new() })
         })
         .collect();
+    tracked_by(sightings, synth, picture)
+}
+
+/// By a finder that says this at these times.
+fn tracked_by(
+    sightings: Vec<(f64, Vec<Sighting>)>,
+    synth: &Synth,
+    picture: impl Fn(usize) -> RgbImage,
+) -> Result<(Tracker, Vec<TimedPose>), ClipError> {
     let mut options = ClipOptions::default();
     let finder = ReadySightings::new(sightings, 1e-3);
     options.finder = Some(FinderSource::new(move || Box::new(finder.clone())));
@@ -266,6 +275,18 @@ fn a_hand_that_was_hidden_is_found_within_three_frames() {
     assert!(valid[..29].iter().all(|&v| v));
     assert!(valid[36..45].iter().all(|&v| !v), "nothing is said of a hand that is not there: {valid:?}");
     assert!(valid[47..].iter().all(|&v| v), "{valid:?}");
+}
+
+#[test]
+fn a_hand_that_is_seen_less_surely_for_a_while_is_waited_for() {
+    let synth = synth(Side::Right, View::Palm, ScriptedMotion::Abduction);
+    let mut random = Random::new(7, 1);
+    let sightings = (0..FRAMES).map(|i| {
+        let presence = [0.71, 0.6, 0.95][usize::from(i >= 8) + usize::from(i >= 20)];
+        (synth.time(i), vec![Sighting { presence, ..sighting(&synth, i, &mut random) }])
+    });
+    let (_, poses) = tracked_by(sightings.collect(), &synth, |i| synth.render(i).image).unwrap();
+    assert!(poses.iter().all(|p| p.valid) && poses.len() == FRAMES);
 }
 
 #[test]

@@ -174,10 +174,12 @@ fn wrong_files_are_named_with_what_was_expected() {
     assert_eq!(error(&text), format!("{}: {expected}", text.display()));
     assert!(error(&file("empty.tflite", b"")).contains("neither"));
     let other = file("other.tflite", &other_network());
-    assert_eq!(
-        error(&other),
-        format!("no hand networks in {}: there is none that finds palms", other.display())
-    );
+    let expected = format!("{}: a network that finds neither palms nor the joints of hands", other.display());
+    assert_eq!(error(&other), expected);
+    // Those beside it are not taken in its place.
+    file("palm_detection.tflite", &palm_network());
+    file("hand_landmark.tflite", &joint_network());
+    assert_eq!(error(&other), expected);
     let palm = palm_network();
     assert!(error(&file("half.tflite", &palm[..palm.len() / 2])).contains("network: "));
     let wheel = wheel();

@@ -117,7 +117,7 @@ impl Registration {
 
     /// Moves `state`, the last one, to where model and evidence agree best: from the predicted state and, in most frames
     /// unless that leads to where a finder has seen the joints, from the same with fingers in other postures, and from what
-    /// was found with one finger folded more or less, or stretched out; and, in turns while the frame costs no more than the last ones, from
+    /// was found with one finger folded more or less; and, in turns while the frame costs no more than the last ones, from
     /// the last state, from a thumb bent across the palm, from hands whose fingers close together, and from known postures
     /// with similar silhouettes.
     pub fn register(
@@ -181,7 +181,6 @@ impl Registration {
             solver.try_hypothesis(scene, bent, state, best);
         }
         hypotheses::try_folded(solver, scene, state, best);
-        hypotheses::try_stretched(solver, scene, state, best);
         if due(Turn::Closing)
             && let Some(closing) = hypotheses::closing_hand(solver, scene, state, best.rate)
         {

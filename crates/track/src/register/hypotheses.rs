@@ -46,13 +46,6 @@ tuning! {
         /// Cost that such a hypothesis must gain, and that it may cost more before any round.
         ["1", "spec/registration.md 5, Hypotheses"]
         pub folded_gain: f64 = 8.0,
-        /// MCP and PIP flexion together, more than in the open hand, from which on a long finger that is not folded is tried
-        /// stretched out.
-        ["rad", "chosen by eye"]
-        pub stretched_from: f64 = 0.2,
-        /// How much more than what was found such a finger may cost before any round.
-        ["1", "spec/registration.md 5, Hypotheses"]
-        pub stretched_margin: f64 = 16.0,
         /// Flexion, abduction and IP flexion of the closed thumb.
         ["rad", "chosen by eye"]
         pub closed_thumb: [f64; 3] = [0.35, 0.7, 0.8],
@@ -217,32 +210,6 @@ pub(super) fn try_folded(
                     (*state, *best) = (other, found);
                 }
             }
-        }
-    }
-}
-
-/// Tries each long finger that is bent a little stretched out as in the open hand, and keeps what costs less: a finger that
-/// looks shorter may also lie otherwise, and rounds do not lead back from where the prior of the open hand has faded.
-pub(super) fn try_stretched(
-    solver: &mut Solver,
-    scene: &mut Scene<'_>,
-    state: &mut ModelState,
-    best: &mut Registered,
-) {
-    let HypothesisTuning { folded_from, stretched_from, stretched_margin, .. } = solver.tuning.hypotheses;
-    let open = &scene.prior.open.state.free;
-    for finger in Finger::LONG {
-        let flexions = [finger.free_base(), finger.free_outer()];
-        let bent: f64 = flexions.iter().map(|&k| state.free[k]).sum();
-        let more: f64 = flexions.iter().map(|&k| state.free[k] - open[k]).sum();
-        if bent >= folded_from || more < stretched_from {
-            continue;
-        }
-        let mut other = state.clone();
-        flexions.iter().for_each(|&k| other.free[k] = open[k]);
-        solver.bring_inside(scene.prior, &mut other);
-        if solver.score(scene, &other).cost < best.cost + stretched_margin {
-            solver.try_hypothesis(scene, other, state, best);
         }
     }
 }
