@@ -213,6 +213,7 @@ mod tests {
             assert_eq!(plane.bits.total(), plane.frame.end_bit - start);
         }
     }
+
     #[test]
     fn planes_that_fill_up_to_a_byte_are_told_as_such() {
         // Its last plane ends two bits before its end code, in which three bits of 0 and stuffing go.

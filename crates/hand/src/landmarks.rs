@@ -393,26 +393,20 @@ impl PoseSolver {
 
     /// All angles from the variables; those that are not varied are zero or tied.
     fn expanded(&self, values: &[f64]) -> JointAngles {
-        let mut angles = [0.0; JointAngle::COUNT];
-        for (angle, value) in self.variables.iter().zip(values) {
-            angles[angle.index()] = *value;
-        }
-        if self.options.tie {
-            let mcp = JointAngle::Thumb2Flexion.index();
-            let own = self.options.thumb.then_some(angles[mcp]);
-            angles = Domain::expand(&Domain::reduce(&angles));
-            angles[mcp] = own.unwrap_or(angles[mcp]);
-        }
-        angles
+        let varied = |mut angles: JointAngles| {
+            for (angle, value) in self.variables.iter().zip(values) {
+                angles[angle.index()] = *value;
+            }
+            angles
+        };
+        let angles = varied([0.0; JointAngle::COUNT]);
+        if self.options.tie { varied(Domain::expand(&Domain::reduce(&angles))) } else { angles }
     }
 
     /// For each angle the variable that drives it, and how strongly at this pose.
     fn drivers(&self, angles: &JointAngles) -> [Option<(usize, f64)>; JointAngle::COUNT] {
         let mut out = [None; JointAngle::COUNT];
         let at = |angle| self.variables.iter().position(|v| *v == angle);
-        for (i, angle) in self.variables.iter().enumerate() {
-            out[angle.index()] = Some((i, 1.0));
-        }
         if self.options.tie {
             for finger in Finger::LONG {
                 out[finger.end_flexion().index()] = at(finger.middle_flexion()).map(|i| (i, DIP_FROM_PIP));
@@ -421,10 +415,12 @@ impl PoseSolver {
                     out[palm.index()] = at(base).map(|i| (i, palm_slope(finger, angles[base.index()])));
                 }
             }
-        }
-        if self.options.tie && !self.options.thumb {
             let (cmc, mcp) = (JointAngle::Thumb1Flexion, JointAngle::Thumb2Flexion);
             out[mcp.index()] = at(cmc).map(|i| (i, thumb_mcp_slope(angles[cmc.index()])));
+        }
+        // What is varied follows nothing else.
+        for (i, angle) in self.variables.iter().enumerate() {
+            out[angle.index()] = Some((i, 1.0));
         }
         out
     }

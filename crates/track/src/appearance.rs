@@ -112,7 +112,7 @@ pub(super) struct Appearance {
     samples: Vec<LumaSample>,
     /// For each primitive gradient and curvature by its turn.
     by_turn: Vec<(Vector3<f32>, Matrix3<f32>)>,
-    relief: Relief,
+    pub(super) relief: Relief,
 }
 
 /// What shading leaves of a hand: for each primitive the cells of its surface.
@@ -123,11 +123,6 @@ impl Appearance {
     /// An appearance without relief.
     pub(super) fn new(tuning: AppearanceTuning) -> Self {
         Self { tuning, ..Self::default() }
-    }
-
-    /// Exchanges the relief that has been learnt for another.
-    pub(super) fn exchange_relief(&mut self, other: &mut Relief) {
-        std::mem::swap(&mut self.relief, other);
     }
 
     /// How well the picture is explained. Nothing of it without a picture or model.

@@ -209,7 +209,7 @@ impl Registration {
     /// of its back.
     pub(super) fn exchange_face(&mut self, face: &mut Face) {
         std::mem::swap(&mut self.hypotheses.library, &mut face.library);
-        self.solver.exchange_relief(&mut face.relief);
+        std::mem::swap(&mut self.solver.appearance.relief, &mut face.relief);
     }
 
     /// Forgets the mean cost and what the hand looked like: every hypothesis is tried on the next frame.

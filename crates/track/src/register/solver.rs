@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use super::super::appearance::{Appearance, Explained, Relief, ShadedModel};
+use super::super::appearance::{Appearance, Explained, ShadedModel};
 use super::super::evidence::Evidence;
 use super::super::model::HandModel;
 use super::super::normal_equations::{NormalEquations, PointSums};
@@ -44,7 +44,7 @@ pub(super) struct Solver {
     pub(super) tuning: RegistrationTuning,
     pub(super) domain: Domain,
     pub(super) objective: NonOverlap,
-    appearance: Appearance,
+    pub(super) appearance: Appearance,
     landmarks: Landmarks,
     spheres: Vec<ProjectedSphere>,
     outline: Vec<OutlinePoint>,
@@ -89,11 +89,6 @@ impl Solver {
     pub(super) fn learn_relief(&mut self, model: &HandModel, evidence: &Evidence, state: &ModelState) {
         model.project_moving(state, &mut self.spheres);
         self.appearance.learn(&shaded(model, &self.spheres, state, evidence));
-    }
-
-    /// Exchanges the relief that has been learnt for another.
-    pub(super) fn exchange_relief(&mut self, other: &mut Relief) {
-        self.appearance.exchange_relief(other);
     }
 
     /// Learns where a finder has the joints of the hand of `state`.
