@@ -260,7 +260,9 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         }
         status.tell(&mut worker, &slot, &server);
     }
-    let moving = if slot.is_ended() { more_than_one(&slot, args) } else { Ok(()) };
+    // Pictures that were ended by a signal say nothing of their source.
+    let by_itself = slot.is_ended() && !stop.load(Ordering::Relaxed);
+    let moving = if by_itself { more_than_one(&slot, args) } else { Ok(()) };
     stop.store(true, Ordering::Relaxed);
     // Whatever went wrong, all is ended.
     let Finished { recorded, published } = worker.finish(&mut publisher);
