@@ -84,6 +84,18 @@ pub(super) fn intra_codes(bap: Bap, value: i32, steps: StepTable, quant: u8) -> 
     Ok([code(level.max(0))?, code(-level.min(0))?])
 }
 
+/// That an I plane can carry all values of a frame, with this quantiser index or a coarser one.
+///
+/// # Errors
+/// [`EncodeError::OutOfRange`] for the first that none can.
+pub(super) fn check_reach(frame: &BapFrame, steps: StepTable, quant: u8) -> Result<(), EncodeError> {
+    let carried = |bap, value, quant| intra_codes(bap, value, steps, quant).map(drop);
+    frame.iter().try_for_each(|(bap, value)| {
+        let coarser = |error| (quant + 1..=MAX_QUANT).find_map(|q| carried(bap, value, q).ok()).ok_or(error);
+        carried(bap, value, quant).or_else(coarser)
+    })
+}
+
 /// Code of a P range end that holds changes of `reach` units, or the largest there is.
 pub(super) fn predicted_code(bap: Bap, reach: i32, steps: StepTable, quant: u8) -> u8 {
     // In base steps first and rounded up, so that a coarser quantiser does not reach less far.

@@ -8,7 +8,7 @@ pub(super) use session::{LiveSession, write_live};
 use super::super::arith::{Adaptive, Model};
 use super::super::error::EncodeError;
 use super::super::frame_writer::{FrameWriter, Still};
-use super::super::reach::Reach;
+use super::super::reach::{Reach, check_reach};
 use super::super::record::Record;
 use super::super::state::{Slot, round_level, step};
 use super::super::syntax::{IntraParams, PlaneHeader, PlaneKind, TimeCode};
@@ -175,6 +175,7 @@ impl LiveEncoder {
     pub(super) fn write_held(&mut self, frame: &BapFrame, held: &BapMask) -> Result<PlaneBits, EncodeError> {
         let mut frame = *frame;
         frame.mask = self.options.sendable(&frame.mask);
+        check_reach(&frame, self.options.steps, self.quant())?;
         self.note_extent(&frame);
         // Where the rate is to be held, I planes keep to their times.
         let early = self.out.planes() > 0 && self.since_complete < self.interval;
@@ -701,4 +702,30 @@ fn choose(slot: &Slot, wanted: i64, model: &Adaptive<'_>, lambda: f64, worth: &W
     let plain = (wanted as f64 * worth.degrees * worth.worth).powi(2);
     let idle = plain.max(if worth.beyond.is_finite() { error(0) } else { 0.0 });
     (level, idle - least)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::plan::Target;
+
+    /// A frame that no I plane can carry leaves no trace in what follows.
+    #[test]
+    fn refused_frames_change_nothing() {
+        let bap = Bap::from_name("r_index1_flexion").unwrap();
+        let frame = |value: i32| -> BapFrame { [(bap, value)].into_iter().collect() };
+        let options = PlanOptions { mode: Target::Rms(0.5), intra_seconds: 0.5, ..PlanOptions::default() };
+        let stream = |refused: bool| {
+            let mut encoder = LiveEncoder::new(&options).unwrap();
+            for n in 0..60 {
+                if refused && n % 7 == 3 {
+                    let far = encoder.write_frame(&frame(2_000_000_000));
+                    assert!(matches!(far, Err(EncodeError::OutOfRange { .. })));
+                }
+                encoder.write_frame(&frame(-1_000 * (n % 20))).unwrap();
+            }
+            encoder.finish()
+        };
+        assert_eq!(stream(true), stream(false));
+    }
 }

@@ -729,6 +729,16 @@ mod tests {
     }
 
     #[test]
+    fn numbers_of_frames_tell_their_times() {
+        let document = |i: usize| json!({ "hand_pose": motion(i).as_slice(), "is_right": 1 });
+        let numbered: serde_json::Map<_, _> =
+            [12, 7, 8].map(|i| (i.to_string(), document(i))).into_iter().collect();
+        let clip = parse(&json!(numbered).to_string()).unwrap().remove(0);
+        let frames: Vec<f64> = clip.frames.iter().map(|frame| (frame.time * 30.0).round()).collect();
+        assert_eq!(frames, [0.0, 1.0, 5.0]);
+    }
+
+    #[test]
     fn matrices_mean_what_axes_and_angles_mean() {
         let rows = |v: &[f64]| -> Value {
             let matrix = Rotation3::from_scaled_axis(Vector3::from_column_slice(v)).into_inner();

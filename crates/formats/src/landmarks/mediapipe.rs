@@ -411,6 +411,8 @@ struct Node {
     timestamp_ms: Option<f64>,
     #[serde(alias = "timestampUs", alias = "timestampInMicroseconds")]
     timestamp_us: Option<f64>,
+    #[serde(alias = "timestampNs", alias = "timestampInNanoseconds")]
+    timestamp_ns: Option<f64>,
     timestamp: Option<f64>,
     #[serde(alias = "imageWidth", alias = "image_width")]
     width: Option<f64>,
@@ -455,6 +457,21 @@ struct Streamed<'d, 'l, M> {
     document: &'d mut Document<'l>,
     /// Whether it had results.
     results: bool,
+    /// Results whose keys are numbers of frames.
+    numbered: Vec<(u64, Found)>,
+}
+
+impl<'de, M: MapAccess<'de>> Streamed<'_, '_, M> {
+    /// Reads the result of a frame.
+    fn numbered(&mut self, number: u64) -> Result<(), M::Error> {
+        let before = self.document.found.len();
+        self.map.next_value_seed(Reader { document: &mut *self.document, place: Place::Alone })?;
+        let found = self.document.found.pop();
+        let alone = found.filter(|_| self.document.found.len() == before);
+        let found = alone.ok_or_else(|| M::Error::custom(format!("not one result under \"{number}\"")))?;
+        self.numbered.push((number, found));
+        Ok(())
+    }
 }
 
 impl<'de, M: MapAccess<'de>> MapAccess<'de> for &mut Streamed<'_, '_, M> {
@@ -462,6 +479,10 @@ impl<'de, M: MapAccess<'de>> MapAccess<'de> for &mut Streamed<'_, '_, M> {
 
     fn next_key_seed<K: DeserializeSeed<'de>>(&mut self, seed: K) -> Result<Option<K::Value>, M::Error> {
         while let Some(key) = self.map.next_key::<String>()? {
+            if let Ok(number) = key.parse() {
+                self.numbered(number)?;
+                continue;
+            }
             if !RESULTS.contains(&key.as_str()) {
                 return seed.deserialize(key.into_deserializer()).map(Some);
             }
@@ -539,10 +560,12 @@ impl<'de> Visitor<'de> for Reader<'_, '_> {
 
     fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<Option<Hand>, A::Error> {
         let Self { document, place } = self;
-        let mut streamed = Streamed { map, document, results: false };
+        let mut streamed = Streamed { map, document, results: false, numbered: Vec::new() };
         let node = Node::deserialize(MapAccessDeserializer::new(&mut streamed))?;
-        let Streamed { document, results, .. } = streamed;
-        let added = match (results, place) {
+        let Streamed { document, results, numbered, .. } = streamed;
+        let of_frames = !numbered.is_empty();
+        document.add_numbered(numbered).map_err(A::Error::custom)?;
+        let added = match (results || of_frames, place) {
             (true, _) => document.header(&node).map(|_| None),
             (false, Place::Listed) if node.is_hand() => hands_of(node).map(|hands| hands.into_iter().next()),
             _ => document.add(node).map(|()| None),
@@ -597,6 +620,24 @@ impl Document<'_> {
         Ok(())
     }
 
+    /// Takes over results by the numbers of their frames; those between them that have none are empty.
+    fn add_numbered(&mut self, mut results: Vec<(u64, Found)>) -> Result<(), String> {
+        results.sort_by_key(|(number, _)| *number);
+        let mut next = results.first().map_or(0, |(number, _)| *number);
+        for (number, found) in results {
+            if number < next {
+                return Err(format!("frame {number} twice"));
+            }
+            while next < number {
+                self.push(Found::default())?;
+                next += 1;
+            }
+            self.push(found)?;
+            next += 1;
+        }
+        Ok(())
+    }
+
     /// Takes over the rate and the picture's size, and says whether a node has either.
     fn header(&mut self, node: &Node) -> Result<bool, String> {
         if let Some(rate) = node.fps {
@@ -617,7 +658,12 @@ impl Document<'_> {
 
     fn add(&mut self, node: Node) -> Result<(), String> {
         let header = self.header(&node)?;
-        let times = [(node.t, Some(1.0)), (node.timestamp_ms, Some(1e-3)), (node.timestamp_us, Some(1e-6))];
+        let times = [
+            (node.t, Some(1.0)),
+            (node.timestamp_ms, Some(1e-3)),
+            (node.timestamp_us, Some(1e-6)),
+            (node.timestamp_ns, Some(1e-9)),
+        ];
         let timed = times.into_iter().chain([(node.timestamp, None)]).find_map(|(t, unit)| Some((t?, unit)));
         let says_hands = node.landmarks.is_some() || node.world.is_some() || node.hands.is_some();
         if timed.is_none() && !says_hands && !node.is_hand() {
@@ -921,6 +967,24 @@ mod tests {
         let flat: Vec<Value> = (0..21).map(|i| json!([0.3, 0.01 * f64::from(i)])).collect();
         let clips = read(&json!({ "landmarks": flat }).to_string()).unwrap();
         assert!(!clips[0].frames[0].picture.as_ref().unwrap().deep);
+    }
+
+    #[test]
+    fn results_by_the_numbers_of_their_frames() {
+        let result = |x: f64| json!({ "worldLandmarks": [points(x)], "handedness": [category("Right", 0.9)] });
+        // As text they are in another order; two frames have none.
+        let keyed = json!({ "10": result(0.3), "7": result(0.1), "8": null });
+        let listed = json!([result(0.1), null, null, result(0.3)]);
+        let clips = read(&listed.to_string()).unwrap();
+        assert_eq!((clips.len(), clips[0].frames.len()), (1, 4));
+        assert_eq!(read(&keyed.to_string()).unwrap(), clips);
+        assert_eq!(read(&json!({ "fps": 30, "frames": keyed }).to_string()).unwrap()[0].frames, clips[0].frames);
+        let twice = format!("{{\"7\": {0}, \"07\": {0}}}", result(0.1));
+        assert!(read(&twice).unwrap_err().contains("frame 7 twice"));
+        let both = json!({ "7": [result(0.1), result(0.1)] });
+        assert!(read(&both.to_string()).unwrap_err().contains("not one result under \"7\""));
+        let far = json!({ "0": result(0.1), "9000000000": result(0.1) });
+        assert!(read(&far.to_string()).is_err());
     }
 
     #[test]

@@ -194,7 +194,7 @@ pub(super) fn json(text: &[u8], limits: &Limits) -> Result<Found, String> {
     let mut found = Found::default();
     match (documents.pop(), documents.is_empty()) {
         (Some(one), true) => found.add(one, Place::default(), true)?,
-        (last, _) => found.frames(documents.into_iter().chain(last), Place::default())?,
+        (last, _) => found.frames(documents.into_iter().chain(last).enumerate(), Place::default())?,
     }
     found.checked()
 }
@@ -240,14 +240,17 @@ impl Found {
     fn add(&mut self, item: Item, at: Place, frames: bool) -> Result<(), String> {
         match item {
             Item::Object(object) => self.object(object, at),
-            Item::List(list) if frames => self.frames(list.into_iter(), at),
+            Item::List(list) if frames => self.frames(list.into_iter().enumerate(), at),
             Item::List(list) => list.into_iter().try_for_each(|one| self.add(one, at, false)),
             Item::Array(_) | Item::Nothing => Ok(()),
         }
     }
 
-    fn frames(&mut self, items: impl Iterator<Item = Item>, at: Place) -> Result<(), String> {
-        let mut items = items.enumerate();
+    fn frames(
+        &mut self,
+        mut items: impl Iterator<Item = (usize, Item)>,
+        at: Place,
+    ) -> Result<(), String> {
         items.try_for_each(|(k, item)| {
             let before = self.rows.len();
             self.bare = None;
@@ -294,7 +297,8 @@ impl Found {
         }
         let mut numbered = object.numbered;
         numbered.sort_by_key(|(number, _)| *number);
-        self.frames(numbered.into_iter().map(|(_, item)| item), at)
+        let first = numbered.first().map_or(0, |(number, _)| *number);
+        self.frames(numbered.into_iter().map(|(number, item)| ((number - first) as usize, item)), at)
     }
 }
 
