@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::bail;
 use handcast_formats::landmarks::{ImagePoints, LandmarkClip, LandmarkFrame};
 use handcast_hand::landmarks::LANDMARKS_21;
-use handcast_hand::{PoseClip, Side, TimedPose};
+use handcast_hand::{PoseClip, Side, nearest_in_time};
 use handcast_media::{ClipInfo, FrameSource, Part};
 use handcast_track::pipeline::{FinderSource, HandFrame, TrackedFrame, TrackedHand};
 use handcast_vision::sighting::{JOINTS, ReadySightings, Region, Sighting};
@@ -131,11 +131,8 @@ impl Joints {
 
     /// Those of a picture.
     fn at(&self, time: f64) -> Option<&[[f64; 2]; JOINTS]> {
-        let after = self.frames.partition_point(|frame| frame.0 < time);
-        let around = &self.frames[after.saturating_sub(1)..(after + 1).min(self.frames.len())];
-        let off = |frame: &(f64, [[f64; 2]; JOINTS])| (frame.0 - time).abs();
-        let nearest = around.iter().min_by(|a, b| off(a).total_cmp(&off(b)))?;
-        (off(nearest) <= self.tolerance).then_some(&nearest.1)
+        let (at, joints) = &self.frames[nearest_in_time(&self.frames, time, |frame| frame.0)?];
+        ((at - time).abs() <= self.tolerance).then_some(joints)
     }
 }
 
@@ -231,12 +228,10 @@ pub fn notice_of_truth(file: &Path, truth: &PoseClip, hand: &TrackedHand, times:
     let known: Vec<_> = truth.of(hand.start.side).filter(|pose| pose.valid).collect();
     let distance = |(frame, time): (&HandFrame, &f64)| {
         let time = time - begun + first;
-        let after = known.partition_point(|pose| pose.time < time);
-        let around = known.get(after.saturating_sub(1)..(after + 1).min(known.len()))?;
-        let off = |pose: &&TimedPose| (pose.time - time).abs();
-        let nearest = around.iter().min_by(|a, b| off(a).total_cmp(&off(b)))?;
+        let nearest = known[nearest_in_time(&known, time, |pose| pose.time)?];
         let [a, b] = [nearest.pose.translation, frame.pose.translation];
-        let before = off(nearest) < 0.05 && frame.tracked.valid && a.z < -length && b.z < -length;
+        let before =
+            (nearest.time - time).abs() < 0.05 && frame.tracked.valid && a.z < -length && b.z < -length;
         // Where the true wrist would be seen in the plane of the one that was found.
         before.then(|| (a.x * b.z / a.z - b.x).hypot(a.y * b.z / a.z - b.y) / length)
     };

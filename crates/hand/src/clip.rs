@@ -63,6 +63,14 @@ pub struct TimedPose {
     pub why: Option<Absence>,
 }
 
+/// The number of the one of `items`, which are in order of time, that is nearest to an instant, the earlier of two; `None` of no
+/// items.
+pub fn nearest_in_time<T>(items: &[T], instant: f64, time: impl Fn(&T) -> f64) -> Option<usize> {
+    let after = items.partition_point(|item| time(item) < instant);
+    let off = |at: &usize| (time(&items[*at]) - instant).abs();
+    (after.saturating_sub(1)..items.len().min(after + 1)).min_by(|a, b| off(a).total_cmp(&off(b)))
+}
+
 impl TimedPose {
     /// A valid pose about which nothing else is known.
     pub fn new(time: f64, pose: HandPose) -> Self {

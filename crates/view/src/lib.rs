@@ -20,7 +20,7 @@ use serde::Serialize;
 use thiserror::Error;
 
 use hand::{PageHand, angle_names, instants};
-use handcast_hand::{Morphology, PoseClip, Side};
+use handcast_hand::{Morphology, PoseClip, Side, nearest_in_time};
 use handcast_js::{DRAWING, STYLE};
 use pack::{PageFile, Part, Parts};
 use policy::policy_of_page;
@@ -159,14 +159,9 @@ fn account(stream: &StreamCost, times: &[f64], parts: &mut Parts) -> Account {
     let mut bits = vec![0u32; times.len()];
     let mut kinds = vec![0u8; times.len()];
     for plane in &stream.planes {
-        let after = times.partition_point(|t| *t < plane.time);
-        let before = after.saturating_sub(1);
-        let distance = |i: usize| times.get(i).map_or(f64::INFINITY, |t| (t - plane.time).abs());
-        let at = if distance(before) < distance(after) { before } else { after };
-        if let (Some(sum), Some(kind)) = (bits.get_mut(at), kinds.get_mut(at)) {
-            *sum = sum.saturating_add(u32::try_from(plane.bits).unwrap_or(u32::MAX));
-            *kind = (*kind).max(1 + u8::from(plane.intra));
-        }
+        let Some(at) = nearest_in_time(times, plane.time, |time| *time) else { break };
+        bits[at] = bits[at].saturating_add(u32::try_from(plane.bits).unwrap_or(u32::MAX));
+        kinds[at] = kinds[at].max(1 + u8::from(plane.intra));
     }
     Account { bytes: stream.bytes, bits: parts.numbers(bits, u32::to_le_bytes), kinds: parts.add(&kinds) }
 }

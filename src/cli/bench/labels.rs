@@ -6,7 +6,7 @@ use anyhow::{Context, ensure};
 use handcast_codec::clip_rate;
 use handcast_eval::fidelity::{CountLabels, CountReport, LetterLabels, LetterReport, Letters};
 use handcast_formats::motion::Motion;
-use handcast_hand::{HandPose, PoseClip, TimedPose, count_extended};
+use handcast_hand::{HandPose, PoseClip, count_extended, nearest_in_time};
 
 use super::super::common::limits;
 use super::track::known::{check_ranges, labelled, percent, without};
@@ -95,10 +95,9 @@ impl ByFrame {
             None => self.clip.frames.get(frame),
             Some((times, most)) => {
                 let time = *times.get(frame)?;
-                let behind = self.clip.frames.partition_point(|other| other.time < time);
-                let near = self.clip.frames.get(behind.saturating_sub(1)..)?.iter().take(2);
-                let off = |other: &&TimedPose| (other.time - time).abs();
-                near.filter(|other| off(other) <= *most).min_by(|a, b| off(a).total_cmp(&off(b)))
+                let frames = &self.clip.frames;
+                let near = nearest_in_time(frames, time, |other| other.time).map(|at| &frames[at]);
+                near.filter(|other| (other.time - time).abs() <= *most)
             }
         };
         found.filter(|found| found.valid).map(|found| &found.pose)

@@ -971,14 +971,18 @@ mod tests {
 
     #[test]
     fn results_by_the_numbers_of_their_frames() {
-        let result = |x: f64| json!({ "worldLandmarks": [points(x)], "handedness": [category("Right", 0.9)] });
+        let result =
+            |x: f64| json!({ "worldLandmarks": [points(x)], "handedness": [category("Right", 0.9)] });
         // As text they are in another order; two frames have none.
         let keyed = json!({ "10": result(0.3), "7": result(0.1), "8": null });
         let listed = json!([result(0.1), null, null, result(0.3)]);
         let clips = read(&listed.to_string()).unwrap();
         assert_eq!((clips.len(), clips[0].frames.len()), (1, 4));
         assert_eq!(read(&keyed.to_string()).unwrap(), clips);
-        assert_eq!(read(&json!({ "fps": 30, "frames": keyed }).to_string()).unwrap()[0].frames, clips[0].frames);
+        assert_eq!(
+            read(&json!({ "fps": 30, "frames": keyed }).to_string()).unwrap()[0].frames,
+            clips[0].frames
+        );
         let twice = format!("{{\"7\": {0}, \"07\": {0}}}", result(0.1));
         assert!(read(&twice).unwrap_err().contains("frame 7 twice"));
         let both = json!({ "7": [result(0.1), result(0.1)] });

@@ -25,7 +25,7 @@ use crate::motion::{
 use handcast_codec::gaps;
 use handcast_hand::clip::MAX_RATE;
 use handcast_hand::landmarks::{JointPoints, mediapipe_21};
-use handcast_hand::{HandPose, Morphology, PoseClip, Side, Skeleton, TimedPose};
+use handcast_hand::{HandPose, Morphology, PoseClip, Side, Skeleton, TimedPose, nearest_in_time};
 use handcast_limits::{Limit, Limits};
 
 /// Its row.
@@ -511,13 +511,11 @@ pub fn write_pose(
         let gaps = gaps(clip, *side);
         for frame in ticks.even.of(*side) {
             // Whether a hand is there, and how surely, is not interpolated.
-            let after = given.partition_point(|other| other.time < frame.time);
-            let off = |given: &TimedPose| (given.time - frame.time).abs();
-            let near = given[after.saturating_sub(1)..].iter().take(2);
-            let near = near.min_by(|a, b| off(a).total_cmp(&off(b)));
+            let near = nearest_in_time(&given, frame.time, |given| given.time).map(|at| given[at]);
             let gap = gaps.get(gaps.partition_point(|gap| gap.to < frame.time));
             let missing = |given: &TimedPose| {
-                gap.is_some_and(|gap| gap.from < frame.time && off(given) > gap.step() / 2.0)
+                let off = (given.time - frame.time).abs();
+                gap.is_some_and(|gap| gap.from < frame.time && off > gap.step() / 2.0)
             };
             let there = near.filter(|given| given.valid && !missing(given));
             track[ticks.at(frame.time)] =

@@ -2,7 +2,7 @@
 
 use super::{CompareOptions, Extent, SAME_TIME, alike};
 use handcast_codec::{Gap, gaps};
-use handcast_hand::{HandPose, PoseClip, Side, TimedPose};
+use handcast_hand::{HandPose, PoseClip, Side, TimedPose, nearest_in_time};
 
 /// One hand of a motion, with times from the motion's first frame.
 pub(super) struct Track<'a> {
@@ -86,12 +86,9 @@ impl<'a> Track<'a> {
 
     /// The nearest pose, at most half an interval away.
     fn nearest(&self, time: f64) -> Found {
-        let after = self.poses.partition_point(|p| p.time - self.start <= time);
-        let distance = |i: usize| (self.time(i) - time).abs();
-        let before = after.saturating_sub(1);
-        let index = if distance(after) < distance(before) { after } else { before };
-        match self.poses.get(index) {
-            Some(pose) if distance(index) <= self.slack => match pose.valid {
+        let nearest = nearest_in_time(&self.poses, time, |pose| pose.time - self.start);
+        match nearest.map(|at| &self.poses[at]) {
+            Some(pose) if (pose.time - self.start - time).abs() <= self.slack => match pose.valid {
                 true => Found::Pose(Box::new(pose.pose.clone())),
                 false => Found::Lost,
             },

@@ -246,11 +246,7 @@ impl Found {
         }
     }
 
-    fn frames(
-        &mut self,
-        mut items: impl Iterator<Item = (usize, Item)>,
-        at: Place,
-    ) -> Result<(), String> {
+    fn frames(&mut self, mut items: impl Iterator<Item = (usize, Item)>, at: Place) -> Result<(), String> {
         items.try_for_each(|(k, item)| {
             let before = self.rows.len();
             self.bare = None;
