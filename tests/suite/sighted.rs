@@ -277,6 +277,44 @@ fn a_hand_that_was_hidden_is_found_within_three_frames() {
     assert!(valid[47..].iter().all(|&v| v), "{valid:?}");
 }
 
+/// Where it was there is something of its looks.
+#[test]
+fn a_hand_that_moved_on_unseen_is_found_where_it_is() {
+    let synth = synth(Side::Right, View::Palm, ScriptedMotion::Abduction);
+    let [gone, back] = [30, 32];
+    let wide = |i: usize, places: &[i64]| {
+        let mut picture = RgbImage::from_pixel(720, 240, image::Rgb([90, 95, 100]));
+        places.iter().for_each(|x| image::imageops::replace(&mut picture, &synth.render(i).image, *x, 0));
+        picture
+    };
+    for shift in [120, 330] {
+        let mut random = Random::new(7, 1);
+        let mut options = ClipOptions::default();
+        let sightings = (0..FRAMES).map(|i| {
+            let mut hand = sighting(&synth, i, &mut random);
+            if i >= back {
+                hand.points.iter_mut().for_each(|p| p[0] += shift as f64);
+                hand.region = Region::of_joints(&hand.points);
+            }
+            (synth.time(i), if (gone..back).contains(&i) { Vec::new() } else { vec![hand] })
+        });
+        let finder = ReadySightings::new(sightings, 1e-3);
+        options.finder = Some(FinderSource::new(move || Box::new(finder.clone())));
+        let mut tracker = Tracker::new(options);
+        let mut poses = Vec::new();
+        for index in 0..FRAMES {
+            let image = if index < gone { wide(index, &[0]) } else { wide(index, &[0, shift]) };
+            poses.extend(tracker.push(Frame { index, time: synth.time(index), image }).unwrap());
+        }
+        poses.extend(tracker.finish().unwrap());
+        let across = |pose: &TimedPose| pose.pose.translation.x / -pose.pose.translation.z;
+        let moved = |pose: &TimedPose| pose.valid && across(pose) > across(&poses[gone - 1]) + 0.1;
+        let found = poses.iter().position(moved);
+        assert!(found.is_some_and(|found| found < back + 8), "{shift}: {found:?}");
+        assert!(poses[back + 8..].iter().all(moved), "{shift}");
+    }
+}
+
 #[test]
 fn a_hand_that_is_seen_less_surely_for_a_while_is_waited_for() {
     let synth = synth(Side::Right, View::Palm, ScriptedMotion::Abduction);

@@ -25,6 +25,24 @@ const MOST_FURTHER: usize = 4;
 /// seventh of the hand's length, where neighbouring fingers are an eighth apart.
 const SAME_JOINTS: f64 = 0.1;
 
+/// A hand that is no longer seen is also looked for by itself, in a square about where it was: sides of its region, how many
+/// more for each picture since, and for how many pictures. The detector sees the whole picture at 192 pixels a side, in which
+/// the palm of somebody two metres away has ten.
+const NEAR_SIDE: f64 = 3.0;
+const NEAR_GROWTH: f64 = 0.5;
+const NEAR_FOR: usize = 30;
+/// Share of the picture's longer side from which on a square shows nothing new.
+const NEAR_MOST: f64 = 0.7;
+
+/// While there is room for a hand, one square after the other is looked at as well: its sides as shares of the picture's longer
+/// side while no hand is seen, else in sides of the region of the one that is seen, as the other is about as large. Neighbours
+/// share this much of a side.
+const SCANNED: [f64; 2] = [1.0 / 2.0, 1.0 / 3.0];
+const SCAN_SIDE: f64 = 5.0;
+const SCAN_SHARED: f64 = 0.25;
+/// As [`SAME_PALM`] there: so close up the detector sees palms in the same hand once more.
+const SCAN_APART: f64 = 0.5;
+
 /// Length of a hand as a share of its region's side.
 const HAND_IN_REGION: f64 = 0.7;
 
@@ -139,8 +157,13 @@ pub struct NetFinder {
     last: Vec<Followed>,
     /// Those of the one before, kept for its memory.
     before: Vec<Followed>,
+    /// Hands that are no longer seen.
+    missing: Vec<Missing>,
     /// Pictures since palms were looked for.
     since: usize,
+    /// Squares that were looked at, and how many of them since something but the hands had changed.
+    scanned: usize,
+    scanned_still: usize,
     /// Hands that there was no room for when they were looked for in the last picture.
     further: usize,
     /// Those and the hands that were given.
@@ -187,6 +210,33 @@ impl Followed {
         }
         let points = std::array::from_fn(|i| [0, 1].map(|k| hand.points[i][k] + motion[i][k]));
         Some(Sighting { points, age: 1, ..hand.clone() })
+    }
+}
+
+/// A hand that is no longer seen.
+#[derive(Clone, Copy, Debug)]
+struct Missing {
+    /// Where it was looked for when it was seen.
+    region: Region,
+    /// Pictures since.
+    pictures: usize,
+}
+
+impl Missing {
+    /// About where it may be by now.
+    fn square(&self) -> Region {
+        let sides = NEAR_SIDE + NEAR_GROWTH * self.pictures as f64;
+        Region { side: sides * self.region.side, angle: 0.0, ..self.region }
+    }
+
+    /// Whether that is so much less than the picture that the detector sees more there.
+    fn is_small_in(&self, picture: &RgbImage) -> bool {
+        self.square().side < NEAR_MOST * whole(picture).side
+    }
+
+    fn distance(&self, hand: &Sighting) -> f64 {
+        let [a, b] = [self.region.centre, hand.region.centre];
+        (a[0] - b[0]).hypot(a[1] - b[1])
     }
 }
 
@@ -250,35 +300,31 @@ impl NetFinder {
             regions: Vec::new(),
             last: Vec::new(),
             before: Vec::new(),
+            missing: Vec::new(),
             since: 0,
+            scanned: 0,
+            scanned_still: 0,
             further: 0,
             all: Vec::new(),
             scene: Scene::default(),
         })
     }
 
-    /// Finds the regions of the palms in a picture, surest first.
-    fn detect(&mut self, picture: &RgbImage) -> Result<()> {
+    /// Finds the regions of the palms in a square of a picture, surest first.
+    fn detect(&mut self, picture: &RgbImage, square: &Region) -> Result<()> {
         let light = gain(picture, &self.options.light);
-        let (width, height) = (f64::from(picture.width()), f64::from(picture.height()));
-        // The whole picture in the middle of a black square, its middle pixel in the middle of the crop.
-        let whole = Region {
-            centre: [(width + 1.0) / 2.0, (height + 1.0) / 2.0],
-            side: width.max(height),
-            angle: 0.0,
-        };
         if let Some(input) = self.detector.input_mut(0) {
-            crop(picture, &whole, (Border::Black, light), palms::SIDE, input);
+            crop(picture, square, (Border::Black, light), palms::SIDE, input);
         }
         self.detector.run()?;
         let boxes = self.detector.output(self.outputs.boxes).unwrap_or_default();
         let scores = self.detector.output(self.outputs.scores).unwrap_or_default();
         self.decoder.decode(boxes, scores, self.options.palm_score, &mut self.palms);
         let regions = self.palms.iter().map(|palm| {
-            let size = palm.size.map(|s| s * whole.side);
-            let points = palm.points.map(|p| whole.point(p));
+            let size = palm.size.map(|s| s * square.side);
+            let points = palm.points.map(|p| square.point(p));
             let [wrist, _, middle, ..] = points;
-            (Region::of_palm(whole.point(palm.centre), size, wrist, middle), mean(points))
+            (Region::of_palm(square.point(palm.centre), size, wrist, middle), mean(points))
         });
         self.regions.clear();
         self.regions.extend(regions.filter(|(region, _)| usable(region)));
@@ -333,14 +379,20 @@ impl NetFinder {
         Ok(())
     }
 
-    /// Looks for palms, and for the joints of those that are of no hand seen.
-    fn search(&mut self, picture: &RgbImage, hands: &mut Vec<Sighting>) -> Result<()> {
-        self.detect(picture)?;
+    /// Looks for palms in a square of a picture, and for the joints of those that are of no hand seen: they are `apart` from its
+    /// palm by more than this share of its region's side.
+    fn search(
+        &mut self,
+        picture: &RgbImage,
+        (square, apart): (&Region, f64),
+        hands: &mut Vec<Sighting>,
+    ) -> Result<()> {
+        self.detect(picture, square)?;
         let mut regions = std::mem::take(&mut self.regions);
         regions.retain(|(_, palm)| {
             let own = |hand: &Sighting| {
                 let [x, y] = mean(PALM.map(|joint| hand.points[joint]));
-                (palm[0] - x).hypot(palm[1] - y) < SAME_PALM * hand.region.side
+                (palm[0] - x).hypot(palm[1] - y) < apart * hand.region.side
             };
             !hands.iter().any(own)
         });
@@ -357,6 +409,63 @@ impl NetFinder {
         self.all = all;
         self.regions = regions;
         added.and(seen)
+    }
+
+    /// Looks at one square more, where there is room for a hand: what is far away is too small in the whole picture.
+    fn scan(&mut self, picture: &RgbImage, hands: &mut Vec<Sighting>) -> Result<()> {
+        let whole = whole(picture);
+        let seen = hands.iter().map(|hand| SCAN_SIDE * hand.region.side).reduce(f64::min);
+        let sides: &[f64] = match &seen {
+            Some(side) if *side >= NEAR_MOST * whole.side => &[],
+            Some(side) => &[*side],
+            None => &SCANNED.map(|share| share * whole.side),
+        };
+        let squares: usize = sides.iter().map(|side| Squares::of(picture, *side).count()).sum();
+        self.scanned_still = if self.scene.has_changed(picture, hands) { 0 } else { self.scanned_still + 1 };
+        if hands.len() >= self.options.hands || self.scanned_still >= squares {
+            return Ok(());
+        }
+        let mut number = self.scanned % squares;
+        self.scanned = number + 1;
+        for side in sides {
+            let squares = Squares::of(picture, *side);
+            if let Some(square) = squares.get(number) {
+                let further = self.further;
+                self.search(picture, (&square, SCAN_APART), hands)?;
+                self.further = self.further.max(further);
+                break;
+            }
+            number -= squares.count();
+        }
+        Ok(())
+    }
+
+    /// Looks for hands of the last picture, and of those before, where they were, as far as they are not seen anywhere.
+    fn search_near(
+        &mut self,
+        picture: &RgbImage,
+        last: &[Followed],
+        hands: &mut Vec<Sighting>,
+    ) -> Result<()> {
+        let mut missing = std::mem::take(&mut self.missing);
+        missing.extend(last.iter().map(|followed| Missing { region: followed.hand.region, pictures: 0 }));
+        for hand in &*hands {
+            // It is the nearest of them, if one was there.
+            let away = |missing: &Missing| missing.distance(hand);
+            let nearest = (0..missing.len()).min_by(|&a, &b| away(&missing[a]).total_cmp(&away(&missing[b])));
+            nearest.map(|nearest| missing.swap_remove(nearest));
+        }
+        missing.iter_mut().for_each(|missing| missing.pictures += 1);
+        missing.retain(|missing| missing.pictures <= NEAR_FOR && missing.is_small_in(picture));
+        for missing in &missing {
+            if hands.len() < self.options.hands {
+                let further = self.further;
+                self.search(picture, (&missing.square(), SAME_PALM), hands)?;
+                self.further = self.further.max(further);
+            }
+        }
+        self.missing = missing;
+        Ok(())
     }
 
     /// The hand a picture later: its joints are looked for, or it goes on.
@@ -390,9 +499,11 @@ impl NetFinder {
             && (self.since >= self.options.search_still || self.scene.has_changed(picture, hands));
         if hands.len() < self.options.hands && (hands.is_empty() || lost || due) {
             self.since = 0;
-            self.search(picture, hands)?;
+            self.search(picture, (&whole(picture), SAME_PALM), hands)?;
+            self.scan(picture, hands)?;
             self.scene.keep(picture, hands);
         }
+        self.search_near(picture, &last, hands)?;
         now.clear();
         if self.options.follow {
             now.extend(hands.iter().map(|hand| {
@@ -403,6 +514,46 @@ impl NetFinder {
         (self.last, self.before) = (now, last);
         Ok(())
     }
+}
+
+/// Squares that cover a picture, in rows.
+struct Squares {
+    side: f64,
+    size: [f64; 2],
+    counts: [usize; 2],
+}
+
+impl Squares {
+    /// Those of this side.
+    fn of(picture: &RgbImage, side: f64) -> Self {
+        let size = [picture.width(), picture.height()].map(f64::from);
+        let counts = size.map(|length| {
+            let steps = ((length - side) / ((1.0 - SCAN_SHARED) * side)).ceil();
+            1 + steps.max(0.0) as usize
+        });
+        Self { side, size, counts }
+    }
+
+    fn count(&self) -> usize {
+        self.counts[0] * self.counts[1]
+    }
+
+    fn get(&self, number: usize) -> Option<Region> {
+        let at = [number % self.counts[0], number / self.counts[0]];
+        let centre = [0, 1].map(|k| {
+            let (length, steps) = (self.size[k], self.counts[k] - 1);
+            let room = (length - self.side).max(0.0);
+            let shift = if steps > 0 { at[k] as f64 / steps as f64 - 0.5 } else { 0.0 };
+            (length + 1.0) / 2.0 + shift * room
+        });
+        (number < self.count()).then_some(Region { centre, side: self.side, angle: 0.0 })
+    }
+}
+
+/// The whole picture in the middle of a square, its middle pixel in the middle of the crop.
+fn whole(picture: &RgbImage) -> Region {
+    let [width, height] = [picture.width(), picture.height()].map(f64::from);
+    Region { centre: [(width + 1.0) / 2.0, (height + 1.0) / 2.0], side: width.max(height), angle: 0.0 }
 }
 
 /// Joints that the detector marks on a palm.
@@ -456,6 +607,8 @@ impl HandFinder for NetFinder {
 
     fn reset(&mut self) {
         self.last.clear();
+        self.missing.clear();
+        self.scanned_still = 0;
         self.since = 0;
     }
 }
@@ -570,6 +723,76 @@ mod tests {
         assert_at(&find(&mut finder, &[(284, 60, true)]), &[(284, 60, true)]);
         finder.reset();
         assert_at(&find(&mut finder, &[]), &[]);
+    }
+
+    /// A large picture with a square that is too small to be seen in the whole of it.
+    fn far(places: &[[u32; 2]]) -> RgbImage {
+        let mut picture = RgbImage::new(4 * PICTURE, 4 * PICTURE);
+        for [x, y] in places {
+            for (i, j) in (0..44 * 44).map(|n| (n % 44, n / 44)) {
+                picture.put_pixel(x + i - 22, y + j - 22, Rgb([255, 255, 0]));
+            }
+        }
+        picture
+    }
+
+    #[test]
+    fn hands_far_away_are_found_square_by_square() {
+        let mut finder = finder(NetFinderOptions::default());
+        let mut hands = Vec::new();
+        let squares: usize =
+            SCANNED.map(|share| Squares::of(&far(&[]), share * f64::from(4 * PICTURE)).count()).iter().sum();
+        let place = [700, 500];
+        let looks = (1..=squares).find(|_| {
+            finder.find(&far(&[place]), 0.0, &mut hands).unwrap();
+            !hands.is_empty()
+        });
+        assert!(looks.is_some_and(|looks| looks > 1), "{looks:?}");
+        let at = |hand: &Sighting, [x, y]: [u32; 2]| {
+            let [cx, cy] = hand.region.centre;
+            (cx - f64::from(x)).hypot(cy - f64::from(y)) < 60.0
+        };
+        assert!(at(&hands[0], place));
+    }
+
+    #[test]
+    fn a_hand_that_is_lost_is_looked_for_about_where_it_was() {
+        let mut finder = finder(NetFinderOptions::default());
+        let mut hands = Vec::new();
+        let mut look = |finder: &mut NetFinder, places: &[[u32; 2]]| {
+            finder.find(&far(places), 0.0, &mut hands).unwrap();
+            hands.len()
+        };
+        let place = [700, 500];
+        assert!((0..40).any(|_| look(&mut finder, &[place]) == 1) && finder.missing.is_empty());
+        let sides: Vec<f64> = (0..NEAR_FOR)
+            .map_while(|_| {
+                assert_eq!(look(&mut finder, &[]), 0);
+                finder.missing.first().map(|missing| missing.square().side)
+            })
+            .collect();
+        // About as far as the square shows more than the whole picture does.
+        assert!(!sides.is_empty() && sides.is_sorted(), "{sides:?}");
+        assert!(sides.iter().all(|side| *side < NEAR_MOST * f64::from(4 * PICTURE)));
+        // One that is found is not missed.
+        assert!((0..40).any(|_| look(&mut finder, &[place]) == 1) && finder.missing.is_empty());
+    }
+
+    #[test]
+    fn squares_cover_the_picture() {
+        for (size, side) in [((960, 540), 480.0), ((540, 960), 320.0), ((1000, 100), 500.0), ((7, 7), 9.0)] {
+            let squares = Squares::of(&RgbImage::new(size.0, size.1), side);
+            let all: Vec<Region> = (0..squares.count()).filter_map(|k| squares.get(k)).collect();
+            assert!(all.len() == squares.count() && squares.get(all.len()).is_none());
+            for (x, y) in [(0, 0), (size.0 - 1, 0), (size.0 / 2, size.1 / 3), (size.0 - 1, size.1 - 1)] {
+                let inside = |square: &Region| {
+                    let [cx, cy] = square.centre;
+                    (f64::from(x) + 0.5 - cx).abs() <= side / 2.0 + 0.5
+                        && (f64::from(y) + 0.5 - cy).abs() <= side / 2.0 + 0.5
+                };
+                assert!(all.iter().any(inside), "{size:?} {side} {x} {y}");
+            }
+        }
     }
 
     #[test]

@@ -213,7 +213,10 @@ impl Hand {
         };
         if let (true, Some(Link::One(id))) = (tracked.valid, part.and_then(|p| seen.links.get(p))) {
             self.trail = Some(*id);
-            self.remember_others(*id, seen.links);
+            // What is seen while it is only held where it was may be this hand.
+            if seen.sightings.is_empty() || seen.sighting(sight).is_some() {
+                self.remember_others(*id, seen.links);
+            }
         }
         Ok(Step { tracked, confidence, absent, part })
     }

@@ -49,6 +49,18 @@ fn share_region(a: &Sighting, b: &Sighting) -> bool {
     a.region.overlap(&b.region) > SAME_REGION
 }
 
+/// How far the joints of a hand are from those of a sighting before it, hand lengths.
+fn away(hand: &Sighting, before: &Sighting) -> f64 {
+    before.distance(hand) / (0.5 * hand.region.side).max(1.0)
+}
+
+impl SightedTuning {
+    /// How far the joints of a hand may have moved that was not seen in so many frames between, hand lengths.
+    fn gate_after(&self, missed: usize) -> f64 {
+        (self.gate + self.gate_growth * missed as f64).min(self.widest_gate)
+    }
+}
+
 /// A frame, the hands seen in it and their silhouettes, one each.
 pub(super) type Found = (Frame, Vec<Sighting>, Result<Vec<Silhouette>, VisionError>);
 
@@ -81,9 +93,8 @@ struct Followed {
 }
 
 impl Followed {
-    /// A hand as a frame shows it, which may be one of those of the frame next to it.
-    fn seen(hand: &Sighting, next: &[Self]) -> Self {
-        let own = next.iter().find(|followed| followed.is_in(hand));
+    /// A hand as a frame shows it, which may be one of the frame next to it.
+    fn seen(hand: &Sighting, own: Option<&Self>) -> Self {
         let (seen, presence) = own.map_or((0, 0.0), |own| (own.seen, own.presence));
         Self { hand: hand.clone(), missed: 0, seen: seen + 1, presence: presence + hand.presence }
     }
@@ -181,7 +192,8 @@ impl SightedSilhouettes {
                 hands.append(&mut found);
             }
             let seen = hands.iter().filter(|hand| hand.presence > 0.0);
-            behind = seen.map(|hand| Followed::seen(hand, &behind)).collect();
+            let own = |hand: &Sighting| behind.iter().find(|followed| followed.is_in(hand));
+            behind = seen.map(|hand| Followed::seen(hand, own(hand))).collect();
         }
         Ok(())
     }
@@ -200,9 +212,12 @@ impl SightedSilhouettes {
         let seen = hands.len();
         self.further = self.further.max(seen.saturating_sub(TRACKED) + self.finder.further());
         let before = std::mem::take(&mut self.last);
-        self.last.extend(hands.iter().map(|hand| Followed::seen(hand, &before)));
-        for held in before {
-            if !hands[..seen].iter().any(|hand| held.is_in(hand)) && held.missed < self.tuning.held {
+        let owners = owners(&hands, &before, &self.tuning);
+        let own = |owner: &Option<usize>| owner.and_then(|i| before.get(i));
+        self.last.extend(hands.iter().zip(&owners).map(|(hand, owner)| Followed::seen(hand, own(owner))));
+        for (i, held) in before.into_iter().enumerate() {
+            let again = owners.contains(&Some(i)) || hands[..seen].iter().any(|hand| held.is_in(hand));
+            if !again && held.missed < self.tuning.held {
                 hands.push(Sighting { presence: 0.0, ..held.hand.clone() });
                 self.last.push(Followed { missed: held.missed + 1, ..held });
             }
@@ -225,6 +240,20 @@ impl SightedSilhouettes {
         };
         (frame, sightings, parts)
     }
+}
+
+/// Which of the hands before each of these is: one that was looked for there, or else the nearest that is none of the others.
+fn owners(hands: &[Sighting], before: &[Followed], tuning: &SightedTuning) -> Vec<Option<usize>> {
+    let mut owners: Vec<_> =
+        hands.iter().map(|hand| before.iter().position(|followed| followed.is_in(hand))).collect();
+    let elsewhere: Vec<usize> = (0..hands.len()).filter(|&k| owners[k].is_none()).collect();
+    for k in elsewhere {
+        let reach = |i: usize| (i, away(&hands[k], &before[i].hand));
+        let near = |&(i, away): &(usize, f64)| away < tuning.gate_after(before[i].missed);
+        let free = (0..before.len()).filter(|i| !owners.contains(&Some(*i))).map(reach).filter(near);
+        owners[k] = free.min_by(|a, b| a.1.total_cmp(&b.1)).map(|(i, _)| i);
+    }
+    owners
 }
 
 /// Whether all numbers of a sighting are numbers, and its joints somewhere near the picture.
@@ -280,11 +309,9 @@ impl SightedTrails {
         let mut pairs = Vec::new();
         for (i, trail) in self.list.iter().enumerate() {
             for (k, hand) in hands.iter().enumerate() {
-                let away = trail.last.distance(hand) / (0.5 * hand.region.side).max(1.0);
-                let gate = (t.gate + t.gate_growth * trail.missed as f64).min(t.widest_gate);
                 let other = trail.odds * odds_of(hand, &t) < 0.0;
-                let away = away + if other { t.other_side } else { 0.0 };
-                if away < gate {
+                let away = away(hand, &trail.last) + if other { t.other_side } else { 0.0 };
+                if away < t.gate_after(trail.missed) {
                     pairs.push((away, i, k));
                 }
             }
@@ -308,8 +335,8 @@ impl SightedTrails {
             });
             let trail = &mut self.list[i];
             trail.last.clone_from(hand);
-            trail.missed = 0;
             if hand.presence > 0.0 {
+                trail.missed = 0;
                 trail.seen += 1;
                 trail.presence += hand.presence;
                 let limit = t.most_sum;
