@@ -6,6 +6,7 @@
 //! `spec/landmarks.md` describes each.
 
 pub mod axes;
+mod continuity;
 mod documents;
 pub mod iwer;
 pub mod leap;
@@ -374,6 +375,7 @@ impl LandmarkClip {
             } else {
                 parsed(document.parse, &bytes, limits)
             };
+            let clips = clips.map(continued);
             return clips.map_err(|what| LandmarkFileError::Foreign { path: path.into(), format, what });
         }
         if is_json(start) && !lines {
@@ -415,8 +417,14 @@ fn read_document(
     bytes: &[u8],
     limits: &Limits,
 ) -> Result<Content, ContentError> {
-    let clips = parsed(parse, bytes, limits);
+    let clips = parsed(parse, bytes, limits).map(continued);
     Ok(Content::Joints(clips.map_err(|what| ContentError::Foreign { format: format.id, what })?))
+}
+
+/// The recordings with each hand where it was before, whatever it is called.
+fn continued(mut clips: Vec<LandmarkClip>) -> Vec<LandmarkClip> {
+    continuity::restore(&mut clips);
+    clips
 }
 
 /// The recordings of a text of JSON. What is no number by the name that Python writes for it is what is missing.
