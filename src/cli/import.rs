@@ -126,6 +126,9 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     if let Some(notice) = hands.iter().find_map(LandmarkClip::rate_notice) {
         errln!("handcast: {}: {notice}; --input-fps tells another rate", args.input.display());
     }
+    if let Some(notice) = hands.iter().find_map(LandmarkClip::pace_notice) {
+        errln!("handcast: {}: {notice}", args.input.display());
+    }
     let notes: std::collections::BTreeSet<&String> = hands.iter().flat_map(|hand| &hand.notes).collect();
     for note in notes {
         errln!("handcast: {}: {note}", args.input.display());

@@ -141,6 +141,12 @@ impl LandmarkClip {
         Some(rate_notice(rate))
     }
 
+    /// That it would take far longer than hands do, where it tells times.
+    pub fn pace_notice(&self) -> Option<String> {
+        let times: Vec<f64> = self.frames.iter().map(|frame| frame.time).collect();
+        pace_notice(&times)
+    }
+
     /// Points of a frame with the tips at the ends of the fingers.
     pub(crate) fn to_ends(&self, mut points: JointPoints) -> JointPoints {
         if self.tips_inside {
@@ -247,14 +253,33 @@ fn tell_absences(clips: &mut [LandmarkClip], mut instants: Vec<f64>) {
 /// Seconds of time stamps whose unit is not told: seconds where the middle step is below 1, milliseconds below 2000,
 /// microseconds below 2 million, else nanoseconds.
 fn seconds_of_stamps(stamps: &[f64]) -> f64 {
-    let mut steps: Vec<f64> = stamps.windows(2).map(|w| w[1] - w[0]).collect();
-    steps.sort_by(f64::total_cmp);
-    match steps.get(steps.len() / 2) {
-        Some(step) if *step < 1.0 => 1.0,
-        Some(step) if *step >= 2e6 => 1e-9,
-        Some(step) if *step >= 2000.0 => 1e-6,
+    match middle_step(stamps) {
+        Some(step) if step < 1.0 => 1.0,
+        Some(step) if step >= 2e6 => 1e-9,
+        Some(step) if step >= 2000.0 => 1e-6,
         _ => 1e-3,
     }
+}
+
+/// From so many seconds between most of its frames on a recording is none of a hand that moves.
+const SLOWEST: f64 = 5.0;
+
+/// The step in the middle of all.
+fn middle_step(stamps: &[f64]) -> Option<f64> {
+    let mut steps: Vec<f64> = stamps.windows(2).map(|w| w[1] - w[0]).collect();
+    steps.sort_by(f64::total_cmp);
+    steps.get(steps.len() / 2).copied()
+}
+
+/// That frames at these times would take far longer than hands do.
+pub(crate) fn pace_notice(times: &[f64]) -> Option<String> {
+    let step = middle_step(times).filter(|step| *step >= SLOWEST)?;
+    Some(format!("its frames are {step:.0} s apart: are its times in another unit than seconds?"))
+}
+
+/// Seconds of times that are seconds by their name: they are, unless hardly anything would move then.
+fn seconds_of_times(times: &[f64]) -> f64 {
+    if middle_step(times).is_some_and(|step| step >= SLOWEST) { seconds_of_stamps(times) } else { 1.0 }
 }
 
 /// Why landmarks could not be read.
@@ -488,6 +513,7 @@ pub(crate) fn solved(format: &'static Format, hands: &[LandmarkClip]) -> Result<
         |angle: &JointAngle| !angle.name().ends_with("twisting") && !angle.name().contains("0_flexion");
     let mut notes: BTreeSet<String> = hands.iter().flat_map(|hand| hand.notes.clone()).collect();
     notes.extend(hands.iter().filter_map(LandmarkClip::rate_notice));
+    notes.extend(hands.iter().filter_map(LandmarkClip::pace_notice));
     notes.extend(reports.iter().flat_map(|report| [report.notice(), report.trembling()]).flatten());
     notes.extend(in_one_place(hands, &reports));
     Ok(Motion {

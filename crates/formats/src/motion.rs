@@ -29,7 +29,7 @@ use std::path::{Path, PathBuf};
 use thiserror::Error;
 
 use super::import::ImportReport;
-use super::landmarks::{LandmarkClip, solved};
+use super::landmarks::{LandmarkClip, pace_notice, solved};
 use super::lines::unmarked;
 use super::mp4::is_mp4;
 use super::poses::{PosesError, json_message};
@@ -384,7 +384,16 @@ impl Motion {
     fn sound(self, limits: &Limits) -> Result<Self, ContentError> {
         self.check(limits)?;
         check_poses(&self.clip)?;
-        Ok(self)
+        Ok(self.paced())
+    }
+
+    /// The same with a note that it would take far longer than hands do.
+    fn paced(mut self) -> Self {
+        let mut times: Vec<f64> = self.clip.frames.iter().map(|pose| pose.time).collect();
+        times.dedup();
+        let notice = pace_notice(&times).filter(|notice| !self.notes.contains(notice));
+        self.notes.extend(notice);
+        self
     }
 
     /// What holds for any format: how many instants there are, and how long the motion is.

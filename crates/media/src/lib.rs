@@ -409,6 +409,7 @@ pub fn open(input: impl AsRef<Path>, options: &OpenOptions) -> Result<Box<dyn Fr
         shown: 0,
         last: None,
         ended: false,
+        reached: false,
         damage: None,
     }))
 }
@@ -436,6 +437,8 @@ struct Ending {
     shown: usize,
     last: Option<f64>,
     ended: bool,
+    /// Whether there was a picture behind the part.
+    reached: bool,
     /// What ended it.
     damage: Option<String>,
 }
@@ -454,6 +457,7 @@ impl Ending {
                 };
             };
             if frame.time >= self.part.until - ROUNDED {
+                self.reached = true;
                 // A source whose times jump back has nothing more, either.
                 return match self.shown {
                     0 => Err(no_such_part(&self.name, self.part, None)),
@@ -508,7 +512,7 @@ impl FrameSource for Ending {
         let info = &self.info;
         let told = info.told.or(info.frames).filter(|told| self.ended && self.shown < *told);
         // What is wrong behind a part that is whole is of no matter.
-        let source = self.source.shortfall().filter(|_| self.part.until.is_infinite() || told.is_some());
+        let source = self.source.shortfall().filter(|_| !self.reached || told.is_some());
         let wrong: Vec<String> = source.into_iter().chain(self.damage.clone()).collect();
         let last = self.last.unwrap_or(0.0);
         let count = match told {

@@ -18,7 +18,9 @@ use std::slice::ChunksExact;
 use nalgebra::{Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};
 
 use super::npz::{self, Array};
-use super::{Axes, LandmarkClip, LandmarkFrame, RATE, Sided, check_size, place, read_document};
+use super::{
+    Axes, LandmarkClip, LandmarkFrame, RATE, Sided, check_size, place, read_document, seconds_of_times,
+};
 use crate::import::MEAN_HAND_LENGTH;
 use crate::motion::format::names_any;
 use crate::motion::{Content, ContentError, Format};
@@ -70,7 +72,7 @@ pub(crate) static NPY: Format = Format {
 };
 
 /// Names one of which such JSON has early.
-const NAMES: [&str; 16] = [
+const NAMES: [&str; 17] = [
     "hand_pose",
     "handPose",
     "left_hand_pose",
@@ -86,6 +88,7 @@ const NAMES: [&str; 16] = [
     "joints3d",
     "handJoints3D",
     "pred_cam_t_full",
+    "pose_hand",
     "mano",
 ];
 /// Joints that MANO turns, three a finger, and its fingers in its order.
@@ -155,6 +158,14 @@ fn clips(found: Found, bytes: usize, limits: &Limits) -> Result<Vec<LandmarkClip
         rows.samples(&mut samples).map_err(wrong)?;
         limits.check_frames(samples.len(), bytes as u64).map_err(|excess| wrong(excess.to_string()))?;
     }
+    let mut empty = empty_times(&found, rate)?;
+    if found.timed() {
+        let mut times: Vec<f64> = samples.iter().map(|s| s.time).collect();
+        times.sort_by(f64::total_cmp);
+        times.dedup();
+        let unit = seconds_of_times(&times);
+        samples.iter_mut().map(|s| &mut s.time).chain(&mut empty).for_each(|time| *time *= unit);
+    }
     let mut notes = Vec::new();
     let turned = |s: &Sample| matches!(s.body, Some(Body::Turns(..)));
     if samples.iter().any(turned) && found.flat.is_none() && mean.is_none() {
@@ -175,7 +186,7 @@ fn clips(found: Found, bytes: usize, limits: &Limits) -> Result<Vec<LandmarkClip
         ..LandmarkClip::default()
     };
     let mut sided = Sided::new(like);
-    empty_times(&found, rate)?.into_iter().for_each(|time| sided.pass(time));
+    empty.into_iter().for_each(|time| sided.pass(time));
     for side in [Some(Side::Left), Some(Side::Right), None] {
         let of_side: Vec<&Sample> = samples.iter().filter(|s| s.side == side).collect();
         if of_side.is_empty() {
@@ -397,6 +408,18 @@ struct Rows<'a> {
     mean: Option<&'a [f64; 3 * TURNS]>,
 }
 
+/// The hands in rows of both (AMASS's `pose_hand`) and of a whole body, in SMPL+H or SMPL-X: they come last, the left one first.
+fn both(pose: &Array) -> Option<[Array; 2]> {
+    let (width, before) = pose.shape.split_last()?;
+    let body = width.checked_sub(6 * TURNS).filter(|body| [0, 66, 75].contains(body))?;
+    Some([0, 1].map(|hand| {
+        let from = body + hand * 3 * TURNS;
+        let rows = pose.data.chunks_exact(*width).flat_map(|row| &row[from..from + 3 * TURNS]);
+        let shape = before.iter().copied().chain([3 * TURNS]).collect();
+        Array { data: rows.copied().collect(), shape, ..Array::default() }
+    }))
+}
+
 impl Rows<'_> {
     fn samples(&self, out: &mut Vec<Sample>) -> Result<(), String> {
         let side = self.fields.side()?;
@@ -406,8 +429,14 @@ impl Rows<'_> {
         for (name, side) in
             [(Name::Pose, side), (Name::LeftPose, Some(Side::Left)), (Name::RightPose, Some(Side::Right))]
         {
-            if let Some(pose) = self.fields.get(name) {
-                self.turns(pose, side, name == Name::Pose, out)?;
+            match self.fields.get(name) {
+                Some(pose) if let Some(hands) = both(pose) => {
+                    for (pose, side) in hands.iter().zip([Side::Left, Side::Right]) {
+                        self.turns(pose, Some(side), false, out)?;
+                    }
+                }
+                Some(pose) => self.turns(pose, side, name == Name::Pose, out)?,
+                None => {}
             }
         }
         Ok(())
@@ -488,7 +517,8 @@ impl Rows<'_> {
     ) -> Result<(), String> {
         let wrong = || {
             format!(
-                "rotations of shape {}, expected 45, 48, 15 × 3 or 15 × 3 × 3 in each row, and of two hands 2 × as many; \
+                "rotations of shape {}, expected 45, 48, 15 × 3 or 15 × 3 × 3 in each row, of two hands 2 × as many or 90, of \
+                 a body 156 (SMPL+H) or 165 (SMPL-X); \
                  principal components (use_pca) are turned into rotations by MANO's own file alone",
                 shape(&pose.shape)
             )
@@ -736,6 +766,36 @@ mod tests {
         let clip = parse(&json!(numbered).to_string()).unwrap().remove(0);
         let frames: Vec<f64> = clip.frames.iter().map(|frame| (frame.time * 30.0).round()).collect();
         assert_eq!(frames, [0.0, 1.0, 5.0]);
+    }
+
+    #[test]
+    fn hands_of_a_body_are_read() {
+        let plain = |side: Side, i: usize| json!({ "hand_pose": motion(i).as_slice(), "is_right": side == Side::Right });
+        let alone = [Side::Left, Side::Right].map(|side| {
+            let rows: Vec<Value> =
+                (0..12).map(|i| plain(side, if side == Side::Right { i } else { 11 - i })).collect();
+            parse(&json!(rows).to_string()).unwrap().remove(0)
+        });
+        for (name, body) in [("pose_hand", 0), ("poses", 66), ("poses", 75)] {
+            let row = |i: usize| [&vec![0.3; body][..], &motion(11 - i), &motion(i)].concat();
+            let rows: Vec<Vec<f64>> = (0..12).map(row).collect();
+            let both = parse(&json!({ name: rows, "fps": 30 }).to_string()).unwrap();
+            assert_eq!(both.len(), 2, "{name}");
+            for (hand, alone) in both.iter().zip(&alone) {
+                assert_eq!((hand.side, hand.frames.len()), (alone.side, 12));
+                let points = |clip: &LandmarkClip| clip.frames.iter().map(|f| f.points).collect::<Vec<_>>();
+                assert_eq!(points(hand), points(alone), "{name} {body}");
+            }
+        }
+    }
+
+    #[test]
+    fn times_in_milliseconds_are_told_by_their_steps() {
+        for name in ["time", "timestamp", "timestamps", "timestamp_ms"] {
+            let row = |i: usize| json!({ "hand_pose": motion(i).as_slice(), "is_right": 1, name: 40 * i });
+            let clip = parse(&json!((0..12).map(row).collect::<Vec<_>>()).to_string()).unwrap().remove(0);
+            assert!((clip.frames[11].time - 0.44).abs() < 1e-9, "{name}: {}", clip.frames[11].time);
+        }
     }
 
     #[test]

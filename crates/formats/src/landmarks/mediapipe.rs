@@ -20,7 +20,7 @@ use serde::{Deserialize, Deserializer};
 
 use super::{
     Axes, LandmarkClip, LandmarkFrame, PicturePoints, PictureUnit, Point, RATE, check_time, place,
-    read_document,
+    read_document, seconds_of_stamps, seconds_of_times,
 };
 use crate::motion::Format;
 use crate::poses::json_message;
@@ -414,6 +414,15 @@ struct Node {
     #[serde(alias = "timestampNs", alias = "timestampInNanoseconds")]
     timestamp_ns: Option<f64>,
     timestamp: Option<f64>,
+    #[serde(
+        alias = "frame_number",
+        alias = "frameNumber",
+        alias = "frame_index",
+        alias = "frameIndex",
+        alias = "frame_id",
+        deserialize_with = "number"
+    )]
+    frame: Option<f64>,
     #[serde(alias = "imageWidth", alias = "image_width")]
     width: Option<f64>,
     #[serde(alias = "imageHeight", alias = "image_height")]
@@ -446,6 +455,11 @@ struct Node {
     #[serde(alias = "multiHandedness")]
     multi_handedness: Option<Labels>,
     score: Option<f64>,
+}
+
+/// A number, where it is one: `frame` may be anything.
+fn number<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<f64>, D::Error> {
+    Ok(serde_json::Value::deserialize(deserializer)?.as_f64())
 }
 
 /// Names of the results of a document.
@@ -553,7 +567,7 @@ impl<'de> Visitor<'de> for Reader<'_, '_> {
             }
         }
         if empty || !hands.is_empty() {
-            document.push(Found { time: None, hands }).map_err(A::Error::custom)?;
+            document.push(Found { hands, ..Found::default() }).map_err(A::Error::custom)?;
         }
         Ok(None)
     }
@@ -588,6 +602,8 @@ struct Hand {
 struct Found {
     /// Its time, and seconds in its unit where that is known.
     time: Option<(f64, Option<f64>)>,
+    /// The number of its frame.
+    number: Option<f64>,
     hands: Vec<Hand>,
 }
 
@@ -670,24 +686,24 @@ impl Document<'_> {
             // A header, or a result that is empty.
             return if header { Ok(()) } else { self.push(Found::default()) };
         }
-        let at = self.found.len();
+        let (at, number) = (self.found.len(), node.frame);
         let hands = hands_of(node).map_err(|what| format!("result {at}: {what}"))?;
-        self.push(Found { time: timed, hands })
+        self.push(Found { time: timed, number, hands })
     }
 
     /// Seconds of each result. One without a time among those that have some, an empty one, lies evenly between its neighbours.
     fn times(&self) -> Vec<f64> {
         let rate = self.rate.unwrap_or(RATE);
         let stamps: Vec<f64> = self.found.iter().filter_map(|f| f.time.map(|(t, _)| t)).collect();
-        let mut steps: Vec<f64> = stamps.windows(2).map(|w| w[1] - w[0]).collect();
-        steps.sort_by(f64::total_cmp);
-        // Without a unit: from picture to picture pass less than a second, at least a millisecond.
-        let guessed = match steps.get(steps.len() / 2) {
-            Some(step) if *step < 1.0 => 1.0,
-            Some(step) if *step >= 2000.0 => 1e-6,
-            _ => 1e-3,
-        };
-        let seconds = |found: &Found| found.time.map(|(t, unit)| t * unit.unwrap_or(guessed));
+        if stamps.is_empty()
+            && let Some(numbers) = self.found.iter().map(|found| found.number).collect::<Option<Vec<f64>>>()
+            && numbers.is_sorted_by(|a, b| a < b)
+        {
+            return numbers.iter().map(|number| (number - numbers[0]) / rate).collect();
+        }
+        let (times, guessed) = (seconds_of_times(&stamps), seconds_of_stamps(&stamps));
+        let unit = |told: Option<f64>| told.map_or(guessed, |unit| if unit == 1.0 { times } else { unit });
+        let seconds = |found: &Found| found.time.map(|(t, told)| t * unit(told));
         let told: Vec<Option<f64>> = self.found.iter().map(seconds).collect();
         let known: Vec<(usize, f64)> =
             told.iter().enumerate().filter_map(|(i, time)| Some((i, (*time)?))).collect();
@@ -967,6 +983,17 @@ mod tests {
         let flat: Vec<Value> = (0..21).map(|i| json!([0.3, 0.01 * f64::from(i)])).collect();
         let clips = read(&json!({ "landmarks": flat }).to_string()).unwrap();
         assert!(!clips[0].frames[0].picture.as_ref().unwrap().deep);
+    }
+
+    #[test]
+    fn numbers_of_frames_are_times_where_nothing_else_is() {
+        let result = |n: i32| json!({ "frame_number": n, "worldLandmarks": [points(0.1)], "handedness": [category("Right", 0.9)] });
+        let text = |numbers: [i32; 3]| json!({ "fps": 20, "results": numbers.map(result) }).to_string();
+        let times =
+            |numbers| read(&text(numbers)).unwrap()[0].frames.iter().map(|f| f.time).collect::<Vec<_>>();
+        assert_eq!(times([4, 6, 16]), [0.0, 0.1, 0.6]);
+        // No numbers of frames.
+        assert_eq!(times([4, 4, 4]), [0.0, 0.05, 0.1]);
     }
 
     #[test]

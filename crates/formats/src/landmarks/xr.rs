@@ -15,7 +15,10 @@
 use serde_json::{Map, Value};
 
 use super::documents::{each_frame, get, get_in, point, side, stamp};
-use super::{LandmarkClip, LandmarkFrame, Point, RATE, Sided, place, read_document, seconds_of_stamps};
+use super::{
+    LandmarkClip, LandmarkFrame, Point, RATE, Sided, place, read_document, seconds_of_stamps,
+    seconds_of_times,
+};
 use crate::motion::Format;
 use crate::motion::format::names_any;
 use handcast_gltf::joint_named;
@@ -107,7 +110,7 @@ pub(super) fn parse(text: &[u8], limits: &Limits) -> Result<Vec<LandmarkClip>, S
         Ok(())
     })?;
     let stamps: Vec<f64> = frames.iter().filter_map(|(time, _)| time.map(|(t, _)| t)).collect();
-    let unit = seconds_of_stamps(&stamps);
+    let (times, unit) = (seconds_of_times(&stamps), seconds_of_stamps(&stamps));
     let rate = facts.rate.or(stamps.is_empty().then_some(RATE));
     let like = LandmarkClip {
         rate,
@@ -119,7 +122,7 @@ pub(super) fn parse(text: &[u8], limits: &Limits) -> Result<Vec<LandmarkClip>, S
     let mut sided = Sided::new(like);
     for (i, (time, hands)) in frames.into_iter().enumerate() {
         let time = match time {
-            Some((t, told)) => t * told.unwrap_or(unit),
+            Some((t, told)) => t * told.map_or(unit, |told| if told == 1.0 { times } else { told }),
             None => i as f64 / rate.unwrap_or(RATE),
         };
         sided.pass(time);

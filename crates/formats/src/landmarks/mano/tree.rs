@@ -37,7 +37,7 @@ pub(super) enum Name {
 }
 
 /// The names that are known; of several of one meaning in an object the first here is taken.
-const KNOWN: [(&str, Name); 61] = [
+const KNOWN: [(&str, Name); 65] = [
     ("hand_pose", Name::Pose),
     ("mano_hand_pose", Name::Pose),
     ("mano_pose", Name::Pose),
@@ -46,6 +46,7 @@ const KNOWN: [(&str, Name); 61] = [
     ("poses", Name::Pose),
     ("theta", Name::Pose),
     ("thetas", Name::Pose),
+    ("pose_hand", Name::Pose),
     ("left_hand_pose", Name::LeftPose),
     ("right_hand_pose", Name::RightPose),
     ("global_orient", Name::Wrist),
@@ -83,6 +84,9 @@ const KNOWN: [(&str, Name); 61] = [
     ("t", Name::Time),
     ("time", Name::Time),
     ("times", Name::Time),
+    ("timestamp", Name::Time),
+    ("timestamps", Name::Time),
+    ("timestamp_ms", Name::Time),
     ("frame", Name::Frame),
     ("frame_id", Name::Frame),
     ("frame_index", Name::Frame),
