@@ -25,6 +25,7 @@ use std::io::{self, BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 
 pub use axes::{Axes, AxesSource, Camera};
+pub(crate) use documents::side_named;
 use nalgebra::{Point2, Point3};
 use thiserror::Error;
 

@@ -1,5 +1,6 @@
 //! Lines of a text stream, numbered and bounded: the ground of every JSON-lines reader here.
 
+use std::borrow::Cow;
 use std::io::{self, BufRead, Read};
 
 /// The byte order mark of UTF-8, which editors and spreadsheets put before a text.
@@ -8,6 +9,19 @@ const MARK: &[u8] = b"\xef\xbb\xbf";
 /// A text without its byte order mark.
 pub(crate) fn unmarked(bytes: &[u8]) -> &[u8] {
     bytes.strip_prefix(MARK).unwrap_or(bytes)
+}
+
+/// How a unit of two bytes is read.
+type Unit = fn([u8; 2]) -> u16;
+/// The byte order marks of UTF-16, which spreadsheets write as "Unicode text", with how the units behind them are read.
+const WIDE_MARKS: [(&[u8], Unit); 2] = [(b"\xff\xfe", u16::from_le_bytes), (b"\xfe\xff", u16::from_be_bytes)];
+
+/// A text without its byte order mark, UTF-16 where that says so, else UTF-8. What is none is U+FFFD.
+pub(crate) fn text_of(bytes: &[u8]) -> Cow<'_, str> {
+    let wide = WIDE_MARKS.iter().find_map(|(mark, unit)| Some((bytes.strip_prefix(*mark)?, unit)));
+    let Some((rest, unit)) = wide else { return String::from_utf8_lossy(unmarked(bytes)) };
+    let units = rest.as_chunks().0.iter().map(|pair| unit(*pair));
+    char::decode_utf16(units).map(|c| c.unwrap_or(char::REPLACEMENT_CHARACTER)).collect::<String>().into()
 }
 
 /// Reads lines, skips blank ones and a byte order mark, counts them all, and never holds more than its limit.

@@ -213,7 +213,12 @@ pub(super) fn point(value: &Value) -> Option<[f64; 3]> {
 
 /// Left or right, as words, letters or whether it is the right or the left one say.
 pub(super) fn side(value: &Value) -> Option<Side> {
-    let text = value.as_str()?.to_ascii_lowercase();
+    side_named(value.as_str()?)
+}
+
+/// As [`side`], of a text.
+pub(crate) fn side_named(text: &str) -> Option<Side> {
+    let text = text.to_ascii_lowercase();
     match text.rsplit(['_', '.', ' ']).next()? {
         "left" | "l" | "lh" => Some(Side::Left),
         "right" | "r" | "rh" => Some(Side::Right),
