@@ -23,6 +23,8 @@ const EXCHANGED: f64 = 1.1;
 /// fifths of a second of them by Leap Motion, within 2 mm.
 const FAR_BETTER: f64 = 3.0;
 const BADLY: f64 = 4e-3;
+/// The same for it to be said alone: good recordings, and any pieces of them, reach 1.2 where they fit so badly.
+const BETTER: f64 = 1.5;
 /// Spread of the lengths of bones from which on their directions are believed rather than the places of their ends: above
 /// what markers on the skin have, below learned trackers ([`bone_spread`]).
 const STRETCHING: f64 = 0.08;
@@ -87,7 +89,7 @@ impl ImportOptions {
 pub struct ImportReport {
     /// The hand.
     pub side: Side,
-    /// The trial that told the side, when the source did not say.
+    /// The trial that told the side, when the source did not say, or that speaks for the other one.
     pub trial: Option<SideTrial>,
     /// Whether it is the other side than the one the source names: that of the hand in a mirrored picture.
     pub exchanged: bool,
@@ -153,6 +155,13 @@ impl ImportReport {
                 "the hand called {} fits far better as a {side} one ({:.1} against {:.1} mm), as where the sides or the axes \
                  of a file are exchanged: it is taken for that",
                 self.side.other().name(),
+                trial.left.min(trial.right) * 1e3,
+                trial.left.max(trial.right) * 1e3,
+            )),
+            Some(trial) if self.named_surely && trial.side() != self.side => Some(format!(
+                "the hand called {side} fits better as a {} one ({:.1} against {:.1} mm), as where the sides or the axes of a \
+                 file are exchanged: it is taken as it is called",
+                trial.side().name(),
                 trial.left.min(trial.right) * 1e3,
                 trial.left.max(trial.right) * 1e3,
             )),
@@ -277,9 +286,9 @@ fn told(clip: &LandmarkClip, source: &Source, options: &ImportOptions) -> Result
         let trial = source.few().and_then(|few| tell_side(&few).ok());
         let trial = trial.filter(|trial| {
             let off = trial.left.max(trial.right);
-            trial.side() != side && trial.ratio() > FAR_BETTER && off > BADLY
+            trial.side() != side && trial.ratio() > BETTER && off > BADLY
         });
-        let exchanged = trial.is_some();
+        let exchanged = trial.is_some_and(|trial| trial.ratio() > FAR_BETTER);
         return Ok(Told { side: if exchanged { side.other() } else { side }, trial, exchanged });
     }
     let trial = source.tell_side(options);
@@ -665,6 +674,18 @@ mod tests {
         );
         let asked = ImportOptions { side: Some(Side::Right), ..ImportOptions::default() };
         assert!(!import(&source, &asked).unwrap().1.exchanged);
+        // Joints that tremble by 3 mm each way fit neither side well.
+        let mut random = Random::new(5, 0);
+        let mut rough = source.clone();
+        for point in rough.frames.iter_mut().flat_map(|f| &mut f.points).flatten() {
+            *point += Vector3::from_fn(|_, _| 30.0 * f64::from(random.gauss()));
+        }
+        let doubtful = found(&rough);
+        assert_eq!((doubtful.side, doubtful.exchanged), (Side::Right, false));
+        let notice = doubtful.notice().unwrap();
+        assert!(
+            notice.contains("called right fits better as a left one") && notice.contains("as it is called")
+        );
         // Axes that are not as the file says mirror a hand as well.
         source.side = Some(Side::Left);
         source.axes = Axes::Unity;

@@ -12,7 +12,7 @@
 //! `"tips":"inside"` says that tips are where MediaPipe has them, [`TIP_INSIDE`](handcast_hand::landmarks::TIP_INSIDE) of an end bone inside; without it they
 //! are the ends of the fingers.
 //!
-//! `points` or any point in it may be null. Where the source is a picture, a frame may have `"image":[[x,y],null,…]`
+//! `points`, any point in it and any coordinate may be null or, as Python writes it, `NaN`: the point is missing then. Where the source is a picture, a frame may have `"image":[[x,y],null,…]`
 //! too, the same points in pixels of the picture, x right, y down. Besides 21 points in `mediapipe` order this reads
 //! `landmarks25` in `webxr` order and `landmarks26` in `openxr` order (palm first). Units are `m`, `cm` and `mm`; any
 //! other is taken for unknown. Written are 21 points in metres; null are the instants at which the hand was lost.
@@ -20,9 +20,13 @@
 use std::io::{BufRead, Write};
 
 use serde::Deserialize;
-use serde_json::json;
+use serde::de::DeserializeOwned;
+use serde_json::{Value, json};
 
-use super::{Axes, AxesSource, LandmarkClip, LandmarkFrame, Point, RATE, axes, check_time, place, told_time};
+use super::{
+    Axes, AxesSource, LandmarkClip, LandmarkFrame, Point, RATE, axes, check_time, documents, null_for_nan,
+    place, told_time,
+};
 use crate::lines::LineReader;
 use crate::motion::format::{head, says};
 use crate::motion::{
@@ -30,7 +34,7 @@ use crate::motion::{
 };
 use crate::poses::json_message;
 use handcast_hand::landmarks::mediapipe_21;
-use handcast_hand::{Morphology, PoseClip, Side};
+use handcast_hand::{Morphology, PoseClip};
 use handcast_limits::Limits;
 
 /// Its row.
@@ -81,8 +85,8 @@ struct Header {
     format: Option<String>,
     order: Option<String>,
     unit: Option<String>,
-    fps: Option<f64>,
-    hand: Option<Side>,
+    fps: Option<Value>,
+    hand: Option<Value>,
     made_by: Option<String>,
     axes: Option<String>,
     tips: Option<String>,
@@ -91,8 +95,34 @@ struct Header {
 #[derive(Deserialize)]
 struct Frame {
     t: Option<f64>,
-    points: Option<Vec<Point>>,
-    image: Option<Vec<Option<[f64; 2]>>>,
+    points: Option<Vec<Told<3>>>,
+    image: Option<Vec<Told<2>>>,
+}
+
+/// A point, of which a coordinate may be missing.
+type Told<const N: usize> = Option<[Option<f64>; N]>;
+
+/// A point with all of its coordinates.
+fn whole<const N: usize>(point: Told<N>) -> Option<[f64; N]> {
+    let mut all = [0.0; N];
+    all.iter_mut().zip(point?).try_for_each(|(to, from)| from.map(|value| *to = value))?;
+    Some(all)
+}
+
+/// What a line says, with nothing in place of numbers that are none.
+fn told<T: DeserializeOwned>(text: &str) -> Result<T, String> {
+    let nulled = |error| match null_for_nan(text.as_bytes()) {
+        Some(text) => serde_json::from_slice(&text),
+        None => Err(error),
+    };
+    serde_json::from_str(text).or_else(nulled).map_err(|error| json_message(&error))
+}
+
+/// Frames a second, as a number or a text.
+fn fps(told: &Value) -> Result<f64, String> {
+    let rate = told.as_f64().or_else(|| told.as_str()?.trim().parse().ok());
+    rate.filter(|rate| *rate > 0.0 && *rate <= 10_000.0)
+        .ok_or_else(|| format!("fps is {told}, allowed above 0 to 10000"))
 }
 
 pub(super) fn parse(reader: impl BufRead, limits: &Limits) -> Result<LandmarkClip, (usize, String)> {
@@ -124,7 +154,7 @@ pub(super) fn parse(reader: impl BufRead, limits: &Limits) -> Result<LandmarkCli
 }
 
 fn parse_header(text: &str) -> Result<LandmarkClip, String> {
-    let header: Header = serde_json::from_str(text).map_err(|e| json_message(&e))?;
+    let header: Header = told(text)?;
     let format = header.format.as_deref().unwrap_or_default();
     let Some(Layout { order, points, .. }) = LAYOUTS.into_iter().find(|l| l.format == format) else {
         let known = LAYOUTS.map(|l| l.format).join(", ");
@@ -135,11 +165,11 @@ fn parse_header(text: &str) -> Result<LandmarkClip, String> {
     {
         return Err(format!("order is {given:?}, {format} has {order:?}"));
     }
-    if let Some(rate) = header.fps
-        && !(rate > 0.0 && rate <= 10_000.0)
-    {
-        return Err(format!("fps is {rate}, allowed above 0 to 10000"));
-    }
+    let rate = header.fps.as_ref().map(fps).transpose()?;
+    let side = |told: &Value| {
+        documents::side(told).ok_or_else(|| format!("hand is {told}, allowed \"left\", \"right\" and null"))
+    };
+    let side = header.hand.as_ref().map(side).transpose()?;
     if let Some(given) = &header.tips
         && !TIPS.contains(&given.as_str())
     {
@@ -159,8 +189,8 @@ fn parse_header(text: &str) -> Result<LandmarkClip, String> {
             })?),
         };
     Ok(LandmarkClip {
-        rate: header.fps,
-        side: header.hand,
+        rate,
+        side,
         metres,
         made_by: header.made_by,
         points_per_frame: points,
@@ -172,17 +202,20 @@ fn parse_header(text: &str) -> Result<LandmarkClip, String> {
 }
 
 fn parse_frame(text: &str, clip: &mut LandmarkClip, untimed: &mut bool) -> Result<LandmarkFrame, String> {
-    let frame: Frame = serde_json::from_str(text).map_err(|e| json_message(&e))?;
+    let frame: Frame = told(text)?;
     let t = time(frame.t, clip, untimed)?;
     check_time(t, clip.frames.last())?;
     let points = match frame.points {
         None => [None; 25],
-        Some(points) => place(&points, clip.points_per_frame)?,
+        Some(points) => {
+            let points: Vec<Point> = points.into_iter().map(whole).collect();
+            place(&points, clip.points_per_frame)?
+        }
     };
     let image = match frame.image {
         None => None,
         Some(image) => {
-            let flat: Vec<Point> = image.into_iter().map(|p| p.map(|[x, y]| [x, y, 0.0])).collect();
+            let flat: Vec<Point> = image.into_iter().map(|p| whole(p).map(|[x, y]| [x, y, 0.0])).collect();
             let placed = place(&flat, clip.points_per_frame).map_err(|what| format!("image: {what}"))?;
             Some(placed.map(|p| p.map(|p| p.xy())))
         }
@@ -240,7 +273,7 @@ pub fn write_landmarks(
 mod tests {
     use super::*;
     use crate::motion::tests::two_hands;
-    use handcast_hand::Joint;
+    use handcast_hand::{Joint, Side};
     use nalgebra::Point2;
     use proptest::prelude::*;
 
@@ -331,6 +364,31 @@ mod tests {
             let (line, what) = lines(&format!("{HEADER}\n{first}{second}")).unwrap_err();
             assert!(line == 3 && what.contains("which the frames before"), "{what}");
         }
+    }
+
+    #[test]
+    fn what_other_programs_write_is_understood() {
+        let header = |hand: &str, fps: &str| {
+            let text = HEADER.replace("\"hand\":null", hand).replace("\"fps\":30", fps);
+            lines(&text).map(|clip| (clip.side, clip.rate)).map_err(|(_, what)| what)
+        };
+        assert_eq!(header("\"hand\":\"Right\"", "\"fps\":\"29.97\""), Ok((Some(Side::Right), Some(29.97))));
+        assert_eq!(header("\"hand\":\"L\"", "\"fps\":NaN"), Ok((Some(Side::Left), None)));
+        assert!(header("\"hand\":\"both\"", "\"fps\":1").unwrap_err().contains("hand is \"both\", allowed"));
+        for fps in ["0", "1e5", "\"fast\""] {
+            let what = header("\"hand\":null", &format!("\"fps\":{fps}")).unwrap_err();
+            assert!(what.contains("allowed above 0 to 10000"), "{what}");
+        }
+        let holes = frame(0.0, 21)
+            .replace("[3,0,0]", "[NaN,NaN,NaN]")
+            .replace("[4,0,0]", "[4,Infinity,0]")
+            .replace("[5,0,0]", "[5,0,null]")
+            .replace("[6,0,0]", "null");
+        let image = frame(1.0, 21).replace(",0]", "]").replace("points", "image").replace("[7,0]", "[NaN,0]");
+        let clip = lines(&format!("{HEADER}\n{holes}{image}{{\"t\":2,\"points\":NaN}}\n")).unwrap();
+        assert_eq!(clip.frames[0].points.iter().flatten().count(), 17);
+        assert_eq!(clip.frames[1].image.unwrap().iter().flatten().count(), 20);
+        assert_eq!(clip.frames[2].points, [None; 25]);
     }
 
     #[test]
