@@ -9,7 +9,7 @@
 //! A list of frames, an object with a list `frames`, or JSON lines. 26 joints in a list are those of OpenXR, whose first is
 //! the palm; 25 those of WebXR; an object names them, in any convention. A joint is a list of coordinates, or an object with
 //! `x`, `y` and `z`, or with one of these as `position`, `pos`, `translation`, `pose` or `transform`; `null`, `"valid":false`
-//! and joints without numbers were not seen. `unit` is `m` (the default), `cm` or `mm`. Poses are solved for from the
+//! and joints without numbers were not seen, nor was a hand with `"tracked":false`. `unit` is `m` (the default), `cm` or `mm`. Poses are solved for from the
 //! positions. Read only.
 
 use serde_json::{Map, Value};
@@ -53,8 +53,20 @@ const NAMES: [&str; 9] = [
 /// How deep joints may lie under names that say nothing.
 const DEEPEST: usize = 4;
 
-/// A hand of a frame.
-type Seen = (Option<Side>, JointPoints);
+/// Least joints in a list for it to be a hand, whether it is read or not.
+const LEAST: usize = 10;
+/// Names of what says whether a joint or a hand was seen.
+const TRACKED: [&str; 4] = ["valid", "isvalid", "tracked", "istracked"];
+
+/// What is found in a frame.
+#[derive(Default)]
+struct Found {
+    hands: Vec<(Option<Side>, JointPoints)>,
+    /// Whether it says that a hand was not seen.
+    lost: bool,
+    /// How many joints a hand has of which they are neither 25 nor 26.
+    other: Option<usize>,
+}
 
 /// What is known of the whole document.
 #[derive(Default)]
@@ -92,15 +104,16 @@ const SIDES: [&str; 5] = ["handedness", "hand", "side", "chirality", "handtype"]
 /// The hands of a document.
 pub(super) fn parse(text: &[u8], limits: &Limits) -> Result<Vec<LandmarkClip>, String> {
     let (mut facts, mut frames) = (Facts::default(), Vec::new());
-    let mut count = 0;
+    let (mut count, mut other) = (0, None);
     each_frame(text, &mut |header, frame| {
         if frames.is_empty() {
             facts.learn(header)?;
         }
-        let mut hands = Vec::new();
-        find(&frame, facts.side, 0, &mut hands)?;
-        let time = stamp(&frame);
-        if let (true, None, Some(map)) = (hands.is_empty(), time, frame.as_object()) {
+        let mut found = Found::default();
+        find(&frame, facts.side, 0, &mut found)?;
+        let (time, hands) = (stamp(&frame), found.hands);
+        other = other.or(found.other);
+        if let (true, None, Some(map)) = (hands.is_empty() && !found.lost, time, frame.as_object()) {
             // What holds for the lines behind it.
             return facts.learn(map);
         }
@@ -130,20 +143,30 @@ pub(super) fn parse(text: &[u8], limits: &Limits) -> Result<Vec<LandmarkClip>, S
             sided.push(side, LandmarkFrame::of(time, points)).map_err(|what| format!("frame {i}: {what}"))?;
         }
     }
-    sided.finished()
+    match other {
+        Some(joints) if sided.clips.is_empty() => {
+            Err(format!("a hand has {joints} joints, allowed are 26 (OpenXR), 25 (WebXR) and joints by name"))
+        }
+        _ => sided.finished(),
+    }
 }
 
 /// The hands below a value.
-fn find(value: &Value, above: Option<Side>, depth: usize, out: &mut Vec<Seen>) -> Result<(), String> {
+fn find(value: &Value, above: Option<Side>, depth: usize, out: &mut Found) -> Result<(), String> {
     match value {
         Value::Array(list) if depth < DEEPEST => match joints_of_list(list)? {
-            Some(points) => out.push((above, points)),
-            None => list.iter().try_for_each(|one| find(one, above, depth + 1, out))?,
+            Some(points) => out.hands.push((above, points)),
+            None => {
+                let joints = list.iter().filter(|joint| place_of(joint).is_some()).count();
+                out.other = out.other.or((joints >= LEAST).then_some(list.len()));
+                list.iter().try_for_each(|one| find(one, above, depth + 1, out))?;
+            }
         },
+        Value::Object(_) if untracked(value) => out.lost = true,
         Value::Object(map) if depth < DEEPEST => {
             let told = get(value, &SIDES).and_then(side).or(above);
             if let Some(points) = joints_of_names(map)? {
-                out.push((told, points));
+                out.hands.push((told, points));
                 return Ok(());
             }
             for (name, inner) in map {
@@ -188,9 +211,14 @@ fn points_of<'a>(named: impl Iterator<Item = (Option<Joint>, &'a Value)>) -> Res
     place(&places, 25)
 }
 
+/// Whether a joint or a hand says that it was not seen.
+fn untracked(value: &Value) -> bool {
+    get(value, &TRACKED).and_then(Value::as_bool) == Some(false)
+}
+
 /// Where a joint is.
 fn place_of(joint: &Value) -> Point {
-    if get(joint, &["valid", "isvalid", "tracked", "istracked"]).and_then(Value::as_bool) == Some(false) {
+    if untracked(joint) {
         return None;
     }
     point(joint).or_else(|| {
@@ -285,9 +313,24 @@ mod tests {
     }
 
     #[test]
+    fn hands_that_were_not_seen_are_lost() {
+        let joints = vec!["[0.1,0,0]"; 25].join(",");
+        let frame = |tracked: bool| format!("{{\"joints\":[{joints}],\"tracked\":{tracked}}}");
+        let hand = |tracked: bool| format!("{{\"left\":{}}}", frame(tracked));
+        for frame in [&frame as &dyn Fn(bool) -> String, &hand] {
+            let text = format!("[{},{},{}]", frame(true), frame(false), frame(true));
+            let clip = super::parse(text.as_bytes(), &Limits::default()).unwrap().remove(0);
+            let seen: Vec<bool> = clip.frames.iter().map(|f| f.points[0].is_some()).collect();
+            assert_eq!(seen, [true, false, true], "{text}");
+        }
+    }
+
+    #[test]
     fn wrong_documents_are_refused() {
         let parse = |text: &str| super::parse(text.as_bytes(), &Limits::default()).unwrap_err();
         assert_eq!(parse("{\"joints\":[1,2]}"), "no frame has a hand");
+        let few = format!("[{{\"t\":0,\"joints\":[{}]}}]", vec!["[0.1,0,0]"; 24].join(","));
+        assert!(parse(&few).contains("a hand has 24 joints, allowed are 26"), "{}", parse(&few));
         assert!(parse("{\"unit\":\"ft\",\"frames\":[{}]}").contains("unit is \"ft\""));
         assert!(parse("{\"fps\":0}\n{\"t\":0}").contains("fps is 0"));
         let far = format!("{{\"joints\":[{}]}}", vec!["[1e7,0,0]"; 25].join(","));
