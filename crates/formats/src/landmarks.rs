@@ -31,7 +31,7 @@ use thiserror::Error;
 
 use super::import::{ImportOptions, import_all, in_one_place};
 use super::lines::unmarked;
-use super::motion::format::{NotKnown, is_json};
+use super::motion::format::NotKnown;
 use super::motion::{Content, ContentError, Format, Motion, bvh, rate_notice};
 use handcast_hand::landmarks::{JointPoints, from_landmarks_21, move_tips_to_ends};
 use handcast_hand::{JointAngle, MAX_TIME, Side};
@@ -404,8 +404,8 @@ impl LandmarkClip {
             let clips = clips.map(continued);
             return clips.map_err(|what| LandmarkFileError::Foreign { path: path.into(), format, what });
         }
-        if is_json(start) && !lines {
-            return Err(LandmarkFileError::Unknown { path: path.into(), what: NotKnown::joints(start) });
+        if !lines && let Some(what) = NotKnown::joints(start) {
+            return Err(LandmarkFileError::Unknown { path: path.into(), what });
         }
         let clip = points::parse(reader, limits).map_err(|(line, what)| LandmarkFileError::Line {
             path: path.into(),

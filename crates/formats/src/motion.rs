@@ -31,7 +31,6 @@ use thiserror::Error;
 use super::import::ImportReport;
 use super::landmarks::{LandmarkClip, pace_notice, solved};
 use super::lines::unmarked;
-use super::mp4::is_mp4;
 use super::poses::{PosesError, json_message};
 use super::whole::{WholeError, read_whole};
 use handcast_codec::mapping::Profile;
@@ -160,15 +159,9 @@ pub enum MotionError {
         /// The file.
         path: PathBuf,
     },
-    /// A clip, or another MP4 file, that carries no stream.
-    #[error("{path}: an MP4 file without a stream of FBA; of a clip `handcast track` makes poses")]
-    NoStream {
-        /// The file.
-        path: PathBuf,
-    },
-    /// JSON that is none of the formats there are.
+    /// Content that is none of the formats there are, and is known to be something else.
     #[error("{path}: {what}")]
-    Json {
+    Unknown {
         /// The file.
         path: PathBuf,
         /// What was found, and what was tried.
@@ -292,12 +285,9 @@ impl Content {
             return Err(MotionError::Empty { path: path.into() });
         }
         if let Some(what) = format::NotKnown::of(bytes) {
-            return Err(MotionError::Json { path: path.into(), what });
+            return Err(MotionError::Unknown { path: path.into(), what });
         }
-        let format = Format::of(path, bytes).ok_or_else(|| match is_mp4(bytes) {
-            true => MotionError::NoStream { path: path.into() },
-            false => MotionError::Kind { path: path.into() },
-        })?;
+        let format = Format::of(path, bytes).ok_or_else(|| MotionError::Kind { path: path.into() })?;
         let read = || {
             limits.check_count(Limit::Bytes, bytes.len())?;
             let bytes =

@@ -139,36 +139,101 @@ pub(crate) fn names_any(bytes: &[u8], names: &[&str]) -> bool {
     names.iter().any(|name| named(name))
 }
 
-/// JSON that is none of the formats: what names it has, and what was tried.
+/// Content that is none of the formats: what it is, as far as that is known.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct NotKnown {
-    found: String,
-    tried: String,
+pub struct NotKnown(What);
+
+#[derive(Clone, Debug, PartialEq, Eq)]
+enum What {
+    /// JSON: what names it has, and what was tried.
+    Json { found: String, tried: String },
+    /// A kind of [`OTHERS`].
+    Other(&'static str),
 }
 
 impl fmt::Display for NotKnown {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
-        write!(f, "JSON {} is none of the formats that are read; tried were {}", self.found, self.tried)
+        match &self.0 {
+            What::Json { found, tried } => {
+                write!(f, "JSON {found} is none of the formats that are read; tried were {tried}")
+            }
+            What::Other(what) => f.write_str(what),
+        }
     }
 }
 
 /// Most names that are told.
 const TOLD: usize = 6;
 
+/// Files that are none of the formats: bytes from a place on, what they tell, and the way out. The first that fits counts.
+const OTHERS: [(usize, &[u8], &str); 34] = [
+    (0, b"\x1f\x8b", "gzip: unpack it first"),
+    (0, b"BZh", "bzip2: unpack it first"),
+    (0, b"\xfd7zXZ", "xz: unpack it first"),
+    (0, b"(\xb5/\xfd", "zstd: unpack it first"),
+    (0, b"7z\xbc\xaf", "7z: unpack it first"),
+    // The first entry of a spreadsheet is one of these.
+    (30, b"[Content_Types]", SPREADSHEET),
+    (30, b"docProps/", SPREADSHEET),
+    (30, b"xl/", SPREADSHEET),
+    (30, b"mimetypeapplication/vnd.oasis", SPREADSHEET),
+    (0, b"PK\x03\x04", "zip: unpack it first"),
+    (0, b"\x80\x02", PICKLE),
+    (0, b"\x80\x03", PICKLE),
+    (0, b"\x80\x04\x95", PICKLE),
+    (0, b"\x80\x05\x95", PICKLE),
+    (0, b"\x89HDF\r\n", "HDF5 (.h5, .mat of MATLAB 7.3): put its arrays into an .npz with np.savez"),
+    (0, b"MATLAB 5.0", "MATLAB (.mat): put its arrays into an .npz with np.savez"),
+    (0, b"PAR1", "Parquet: save the table as CSV"),
+    (0, b"\x02\x50", "C3D: write its joints as landmark lines, which spec/landmarks.md describes"),
+    (0, b"PathFileType", "TRC: write its joints as landmark lines, which spec/landmarks.md describes"),
+    (0, b"Kaydara FBX", FBX),
+    (0, b"; FBX", FBX),
+    (0, b"BLENDER", "Blender: export it as .glb or .bvh"),
+    (0, b"PXR-USDC", USD),
+    (0, b"#usda", USD),
+    (0, b"<", "XML or HTML (.eaf …): no kind of it is read"),
+    (0, b"\xff\xfe", WIDE),
+    (0, b"\xfe\xff", WIDE),
+    (4, b"ftyp", "an MP4 file without a stream of FBA; of a clip `handcast track` makes poses"),
+    (0, b"\x89PNG", PICTURES),
+    (0, b"\xff\xd8\xff", PICTURES),
+    (0, b"GIF8", PICTURES),
+    (0, b"RIFF", PICTURES),
+    (0, b"\x1a\x45\xdf\xa3", PICTURES),
+    (0, b"YUV4MPEG2", PICTURES),
+];
+const SPREADSHEET: &str = "a spreadsheet: save it as CSV";
+const PICKLE: &str = "a pickle of Python: write arrays with np.savez, and what else there is with json.dump";
+const FBX: &str = "FBX: export it as .glb or .bvh";
+const USD: &str = "USD: export it as .glb or .bvh";
+const WIDE: &str = "UTF-16 text: save it as UTF-8 (tables of poses alone are read as they are)";
+const PICTURES: &str = "pictures or a video: `handcast track` makes poses of them";
+
+/// What [`OTHERS`] say of content.
+fn other(bytes: &[u8]) -> Option<NotKnown> {
+    let fits =
+        |(at, magic, _): &&(usize, &[u8], _)| bytes.get(*at..).is_some_and(|rest| rest.starts_with(magic));
+    OTHERS.iter().find(fits).map(|(_, _, what)| NotKnown(What::Other(what)))
+}
+
 impl NotKnown {
-    /// What content is that no format knows; `None` where one does, and where it is no JSON.
+    /// What content is that no format knows; `None` where one does, and where nothing is known of it.
     pub(crate) fn of(bytes: &[u8]) -> Option<Self> {
         // Damaged poses are told as such.
         let ours = says(head(bytes), poses::NAME);
-        (is_json(bytes) && !ours && Format::sniffed(bytes).is_none()).then(|| Self::among(bytes, |_| true))
+        if ours || Format::sniffed(bytes).is_some() { None } else { Self::among(bytes, |_| true) }
     }
 
-    /// The same among formats of joint positions.
-    pub(crate) fn joints(bytes: &[u8]) -> Self {
+    /// What content is that no format of joint positions knows.
+    pub(crate) fn joints(bytes: &[u8]) -> Option<Self> {
         Self::among(bytes, |format| format.kind == "landmarks")
     }
 
-    fn among(bytes: &[u8], which: impl Fn(&Format) -> bool) -> Self {
+    fn among(bytes: &[u8], which: impl Fn(&Format) -> bool) -> Option<Self> {
+        if !is_json(bytes) {
+            return other(bytes);
+        }
         let json = |format: &&&Format| format.ending.contains(".json") && which(format);
         let mut tried: Vec<&str> = Vec::new();
         for format in FORMATS.iter().filter(json) {
@@ -182,7 +247,7 @@ impl NotKnown {
             [one] => format!("with the name {one}"),
             several => format!("with the names {}", several.join(", ")),
         };
-        Self { found, tried: tried.join(", ") }
+        Some(Self(What::Json { found, tried: tried.join(", ") }))
     }
 }
 
@@ -297,6 +362,7 @@ impl Format {
 
 #[cfg(test)]
 mod tests {
+    use super::super::Motion;
     use super::*;
 
     #[test]
@@ -341,6 +407,21 @@ mod tests {
         {
             assert_eq!(told(known), None, "{known}");
         }
+    }
+
+    #[test]
+    fn files_of_other_kinds_are_told_by_their_first_bytes() {
+        for (at, magic, what) in OTHERS {
+            let before = if at == 4 { vec![0, 0, 0, 108] } else { b"PK\x03\x04".repeat(at)[..at].to_vec() };
+            let bytes = [&before, magic, &[0; 100]].concat();
+            let told = NotKnown::of(&bytes).map(|what| what.to_string());
+            assert_eq!(told.as_deref(), Some(what), "{}", bytes.escape_ascii());
+            for name in ["a.csv", "a.jsonl", "-"] {
+                let refused = Motion::parse(Path::new(name), &bytes).unwrap_err().to_string();
+                assert_eq!(refused, format!("{name}: {what}"));
+            }
+        }
+        assert_eq!(NotKnown::of(b"words"), None);
     }
 
     #[test]
