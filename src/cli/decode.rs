@@ -206,6 +206,7 @@ fn write_baps(args: &Args, bytes: &[u8], options: DecoderOptions) -> anyhow::Res
     write_whole(&args.output, |out| Ok(text::write_frames(stem, rate, frames, out)?))?;
     if !args.quiet {
         let rows = counted(rows, "frame");
+        let rate = (1e3 * rate).round() / 1e3;
         errln!("{}: {rows} at {rate} frames/s", told_name(&args.output));
     }
     Ok(())

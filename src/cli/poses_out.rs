@@ -92,6 +92,8 @@ fn refusal(path: &Path, more: &[&str]) -> String {
         "fba" => "; `handcast encode` writes streams",
         "mp4" => "; `handcast render` draws films, `handcast encode` writes streams in MP4 files",
         "gif" | "webp" | "png" => "; `handcast render` draws pictures and animations",
+        "fbx" => "; Blender makes FBX of a .glb or a .bvh",
+        "" => "; --to names the kind where no ending does",
         "html" | "htm" => "; `handcast view` writes pages",
         _ => "",
     };

@@ -214,13 +214,19 @@ fn cut_short(moments: &[Moment], ending: &str) -> Option<String> {
     })
 }
 
+/// The step in the middle of all.
+fn usual_step(times: &[f64]) -> Option<f64> {
+    let mut steps: Vec<f64> = times.windows(2).map(|w| w[1] - w[0]).collect();
+    steps.sort_by(f64::total_cmp);
+    steps.get(steps.len() / 2).copied()
+}
+
 /// How long each picture is shown, in units of `unit` seconds and at least `least` of them, at most `longest` seconds; rounding
 /// does not add up.
-fn durations(moments: &[Moment], unit: f64, least: u32, longest: f64) -> Vec<u32> {
-    let steps: Vec<f64> = moments.windows(2).map(|w| w[1].time - w[0].time).collect();
-    let mut sorted = steps.clone();
-    sorted.sort_by(f64::total_cmp);
-    let last = sorted.get(sorted.len() / 2).map_or(1.0 / TURN.1, |step| step.min(LAST));
+fn durations(moments: &[Moment], unit: f64, least: u32, longest: f64, last: Option<f64>) -> Vec<u32> {
+    let times: Vec<f64> = moments.iter().map(|moment| moment.time).collect();
+    let last = last.or(usual_step(&times)).map_or(1.0 / TURN.1, |step| step.min(LAST));
+    let steps: Vec<f64> = times.windows(2).map(|w| w[1] - w[0]).collect();
     let (mut time, mut told) = (0.0, 0.0);
     steps
         .into_iter()
@@ -242,7 +248,7 @@ fn whole(shown: &[u32], unit: f64) -> f64 {
 /// Writes all pictures as a film; gives its seconds.
 #[cfg(feature = "h264")]
 fn write_film(drawing: &Drawing<'_>, file: &mut AtomicFile) -> anyhow::Result<f64> {
-    let shown = durations(drawing.film.moments(), 1.0 / f64::from(TICKS), 1, longest("mp4"));
+    let shown = durations(drawing.film.moments(), 1.0 / f64::from(TICKS), 1, longest("mp4"), drawing.last);
     let seconds = whole(&shown, 1.0 / f64::from(TICKS));
     let rate = (shown.len() as f64 / seconds).clamp(0.1, 1000.0);
     let mut video = FilmWriter::new(file, drawing.size, rate, USUAL_RATE)?;
@@ -258,6 +264,8 @@ struct Drawing<'a> {
     size: (u32, u32),
     style: &'a Style,
     bar: &'a ProgressBar,
+    /// How long the last picture is shown, seconds, where it is not the usual step between pictures.
+    last: Option<f64>,
 }
 
 impl Drawing<'_> {
@@ -311,7 +319,7 @@ impl Drawing<'_> {
             }
             "webp" => {
                 let mut animation = WebpAnimation::new(self.size)?;
-                let shown = durations(moments, 1e-3, 1, longest(ending));
+                let shown = durations(moments, 1e-3, 1, longest(ending), self.last);
                 self.in_order(|i, picture| animation.push(&picture, shown[i]))?;
                 animation.write(file)?;
                 Ok(Some(whole(&shown, 1e-3)))
@@ -320,7 +328,7 @@ impl Drawing<'_> {
                 let mut encoder = GifEncoder::new_with_speed(file, 10);
                 encoder.set_repeat(Repeat::Infinite)?;
                 // Hundredths of a second; browsers take less than 2 for 10.
-                let shown = durations(moments, 1e-2, GIF_LEAST, longest(ending));
+                let shown = durations(moments, 1e-2, GIF_LEAST, longest(ending), self.last);
                 self.in_order(|i, picture| {
                     let delay = Delay::from_numer_denom_ms(10 * shown[i], 1);
                     encoder.encode_frame(Frame::from_parts(picture, 0, 0, delay))
@@ -395,6 +403,9 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let skin =
         args.tone.or(motion.clip.header.skin_tone).and_then(skin_tone).unwrap_or(Style::default().skin);
     let style = Style { background, skin, ..Style::default() };
+    // Of some pictures of a motion the last one stands for as little of it as all would.
+    let times: Vec<f64> = all.iter().map(|instant| instant.time).collect();
+    let last = args.frames.and_then(|_| usual_step(&times));
     let mut chosen = choose(args, all, extension != "png");
     if extension == "gif" {
         thin_out(&mut chosen, f64::from(GIF_LEAST) / 100.0);
@@ -414,7 +425,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     }
     let count = film.moments().len();
     let bar = drawn(!args.quiet, &extension, count);
-    let drawing = Drawing { film: &film, size: (width, height), style: &style, bar: &bar };
+    let drawing = Drawing { film: &film, size: (width, height), style: &style, bar: &bar, last };
     let seconds = drawing.write(&extension, &args.output);
     bar.finish_and_clear();
     let seconds = seconds?;

@@ -447,7 +447,7 @@ pub fn span(clip: &PoseClip) -> f64 {
 
 /// A rate that makes too many instants of a clip.
 #[derive(Clone, Copy, Debug, Error, PartialEq)]
-#[error("{rate} frames/s over {seconds:.1} s: {excess}")]
+#[error("{:.3} frames/s over {seconds:.1} s: {excess}", rate)]
 pub struct SpanError {
     /// Frames per second.
     pub rate: f64,

@@ -178,6 +178,10 @@ fn parse(target: &str) -> Result<(&str, u16), VmcError> {
     if host.is_empty() {
         return Err(wrong("there is no host"));
     }
+    // Resolvers take a number for an address.
+    if host.bytes().all(|byte| byte.is_ascii_digit()) {
+        return Err(wrong("the host is a number alone; a port stands behind it, as in 127.0.0.1:39539"));
+    }
     let port = match port {
         None => PORT,
         Some(text) => match text.parse() {

@@ -167,7 +167,8 @@ pub fn measure(
 impl fmt::Display for FidelityReport {
     /// A page of text.
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
-        let Self { source, frames, rate, stream, .. } = self;
+        let Self { source, frames, stream, .. } = self;
+        let rate = (1e3 * self.rate).round() / 1e3;
         writeln!(f, "{source}: {} hand, {frames} frames at {rate} frames/s", self.hands.join(" and "))?;
         if let Some(t) = &self.tracking {
             tell_tracking(t, f)?;
