@@ -129,20 +129,17 @@ fn distance(clips: &[LandmarkClip], from: Place, to: Place) -> Option<f64> {
     let count = pairs.len() as f64;
     let middle =
         pairs.iter().fold([Vector3::zeros(); 2], |sum, (a, b)| [sum[0] + a / count, sum[1] + b / count]);
-    let square = |length: &dyn Fn(&(Vector3<f64>, Vector3<f64>)) -> Vector3<f64>| {
-        (pairs.iter().map(|pair| length(pair).norm_squared()).sum::<f64>() / count).sqrt()
-    };
-    let spread = square(&|(_, b)| b - middle[1]);
+    let squares = |sum: f64| (sum / count).sqrt();
+    let spread = squares(pairs.iter().map(|(_, b)| (b - middle[1]).norm_squared()).sum());
     let shape = pictures.is_none() && clips[to.clip].centred;
-    let moved = match shape {
-        true => square(&|(a, b)| (a - middle[0]) - (b - middle[1])) / SAME_SHAPE,
-        false => square(&|(a, b)| a - b) / NEAR,
-    };
+    // Of points about the hand's own middle only how they lie to each other tells.
+    let (shift, near) = if shape { (middle[1] - middle[0], SAME_SHAPE) } else { (Vector3::zeros(), NEAR) };
+    let moved = squares(pairs.iter().map(|(a, b)| (a + shift - b).norm_squared()).sum()) / near;
     (spread > 0.0).then_some(moved / spread).filter(|distance| distance.is_finite())
 }
 
 /// Moves frames to the hands that they are of.
-fn give(clips: &mut Vec<LandmarkClip>, owners: &[(Place, usize)]) {
+fn give(clips: &mut [LandmarkClip], owners: &[(Place, usize)]) {
     let mut frames: [Vec<LandmarkFrame>; 2] = [Vec::new(), Vec::new()];
     for &(place, owner) in owners {
         let frame = &mut clips[place.clip].frames[place.frame];
