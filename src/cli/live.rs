@@ -253,9 +253,11 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let mut worked = Ok(());
     // Where nobody sees a hand, nothing else tells that the server has ended.
     while worked.is_ok() && !stop.load(Ordering::Relaxed) && !over() && !server.has_ended() {
+        // Asked before, lest the last picture come between.
+        let ended = slot.is_ended();
         match slot.take(Duration::from_millis(100)) {
             Some(frame) => worked = worker.frame(frame, &mut publisher),
-            None if slot.is_ended() => break,
+            None if ended => break,
             None => {}
         }
         status.tell(&mut worker, &slot, &server);

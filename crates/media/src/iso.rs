@@ -174,8 +174,15 @@ fn outer_boxes(
     Ok(None)
 }
 
+/// Most bytes of an outermost box that is read as a whole: tables of some days of pictures.
+const MOST_TABLES: u64 = 256 << 20;
+
 /// What is in an outermost box.
 fn content(file: &mut (impl Read + Seek), (at, size): (u64, u64)) -> Found<Vec<u8>> {
+    if size > MOST_TABLES {
+        let what = format!("the box at byte {at} has {size} bytes of tables, allowed are {MOST_TABLES}");
+        return Err(Fault::Malformed(what));
+    }
     file.seek(SeekFrom::Start(at)).map_err(Fault::Io)?;
     let mut whole = Vec::new();
     whole.try_reserve_exact(usize::try_from(size).unwrap_or(usize::MAX)).map_err(|_| {

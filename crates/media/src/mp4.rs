@@ -526,6 +526,10 @@ fn samples_of(movie: &Movie, name: &str) -> Result<Vec<Sample>, FrameError> {
     let shown = movie.pictures.iter().enumerate().filter(|(_, picture)| picture.shown);
     let mut order: Vec<(i64, usize)> = shown.map(|(i, picture)| (picture.time, i)).collect();
     order.sort_unstable();
+    // Of two at one instant players show the later one: the other lasts no time.
+    order.reverse();
+    order.dedup_by_key(|(time, _)| *time);
+    order.reverse();
     for (rank, &(_, i)) in order.iter().enumerate() {
         if let Some(sample) = samples.get_mut(i) {
             sample.rank = Some(rank);

@@ -251,13 +251,10 @@ impl<'a> Pen<'a> {
                     *level = (*level).clamp(min, max);
                 }
             }
-            let skipped = self.skipped(frame);
             let turn = !self.clip.leaps(index);
             let bits = match offset {
-                0 => {
-                    self.write_plane(frame, skipped, Some((&params(period, mask, self.arrays[index]), turn)))?
-                }
-                _ if self.sent[frame] => self.write_plane(frame, skipped, None)?,
+                0 => self.write_plane(frame, Some((&params(period, mask, self.arrays[index]), turn)))?,
+                _ if self.sent[frame] => self.write_plane(frame, None)?,
                 _ => 0,
             };
             self.report.frame_bits.push(bits);
@@ -279,11 +276,11 @@ impl<'a> Pen<'a> {
     fn write_plane(
         &mut self,
         frame: usize,
-        skipped: u32,
         params: Option<(&IntraParams, bool)>,
     ) -> Result<u64, EncodeError> {
         let tick = self.clip.ticks[frame];
-        let mut header = PlaneHeader { object_mask: 2, skipped, ..PlaneHeader::default() };
+        let mut header =
+            PlaneHeader { object_mask: 2, skipped: self.skipped(frame), ..PlaneHeader::default() };
         let resync = self.options.resync;
         if let Some((_, turn)) = params {
             header.kind = PlaneKind::Intra;
