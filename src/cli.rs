@@ -58,6 +58,7 @@ use handcast_codec::StreamToPosesError;
 use handcast_eval::fidelity::FidelityError;
 use handcast_fba::{ErrorKind, SyntaxError};
 use handcast_formats::motion::{ContentError, MotionError};
+use handcast_media::FrameError;
 use handcast_track::pipeline::ClipError;
 
 /// MPEG-4 hand animation: a gesture made here moves a hand there.
@@ -207,7 +208,12 @@ fn hint(error: &anyhow::Error) -> &'static str {
     let no_networks = |cause: &(dyn std::error::Error + 'static)| {
         matches!(cause.downcast_ref(), Some(handcast_net::Error::NotInstalled))
     };
-    if error.chain().any(never_open) {
+    let clips = |cause: &(dyn std::error::Error + 'static)| {
+        matches!(cause.downcast_ref(), Some(FrameError::Clips { .. }))
+    };
+    if error.chain().any(clips) {
+        "; `handcast corpus` takes a folder of clips"
+    } else if error.chain().any(never_open) {
         "; sizes are given with --person FILE, made by `handcast fit`"
     } else if error.chain().any(no_networks) {
         "; they are given with --net FILE, and brought by `pip download --no-deps --only-binary=:all: \

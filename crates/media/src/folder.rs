@@ -3,7 +3,7 @@
 use std::cmp::Ordering;
 use std::path::{Path, PathBuf};
 
-use super::{ClipInfo, Frame, FrameError, FrameSource, OpenOptions, animation, check_size};
+use super::{ClipInfo, Frame, FrameError, FrameSource, OpenOptions, animation, check_size, first_video};
 use handcast_limits::Limits;
 use handcast_picture::Shrinker;
 
@@ -29,17 +29,22 @@ impl FolderSource {
     pub(super) fn from_folder(folder: &Path, options: &OpenOptions) -> Result<Self, FrameError> {
         let name = folder.display().to_string();
         let io = |source| FrameError::Io { path: name.clone(), source };
-        let mut files = Vec::new();
+        let (mut files, mut others) = (Vec::new(), Vec::new());
         for entry in std::fs::read_dir(folder).map_err(io)? {
             let path = entry.map_err(io)?.path();
             let hidden = path.file_name().is_some_and(|n| n.to_string_lossy().starts_with('.'));
             let extension = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
             if !hidden && extension.is_some_and(|e| EXTENSIONS.contains(&e.as_str())) && path.is_file() {
                 files.push(path);
+            } else if !hidden {
+                others.push(path);
             }
         }
         if files.is_empty() {
-            return Err(FrameError::Empty { path: name, what: "the folder holds no picture" });
+            return Err(match first_video(others) {
+                Some(first) => FrameError::Clips { path: name, first },
+                None => FrameError::Empty { path: name, what: "the folder holds no picture" },
+            });
         }
         Self::from_files(files, &name, "folder", options)
     }
@@ -98,7 +103,14 @@ impl FolderSource {
         }
         files.sort_by(|a, b| natural(&a.to_string_lossy(), &b.to_string_lossy()));
         let sizes = files.iter().map(|file| animation::dimensions(file, &options.limits));
-        let (width, height) = first_good(sizes).unwrap_or(Ok((0, 0)))?;
+        let size = match first_good(sizes).unwrap_or(Ok((0, 0))) {
+            Err(error @ FrameError::NotAVideo { .. }) => Err(match first_video(files.clone()) {
+                Some(first) => FrameError::Clips { path: name.to_owned(), first },
+                None => error,
+            }),
+            size => size,
+        };
+        let (width, height) = size?;
         let (width, height) = check_size(name, u64::from(width), u64::from(height), &options.limits)?;
         let info = ClipInfo {
             width,
@@ -306,6 +318,30 @@ mod tests {
         assert!(text.starts_with("3 numbers are missing, the first behind f0003.png"), "{text}");
         let text = told(&[10, 20, 40]).unwrap();
         assert!(text.starts_with("1 number is missing, the first behind f0020.png"), "{text}");
+    }
+
+    #[test]
+    fn clips_in_place_of_pictures_are_named() {
+        let folder = std::env::temp_dir().join(format!("handcast-clips-{}", std::process::id()));
+        std::fs::create_dir_all(&folder).unwrap();
+        for (name, content) in
+            [("b.avi", &b"RIFF\x10\0\0\0AVI LIST"[..]), ("c.mp4", b"words"), ("a.txt", b"words")]
+        {
+            std::fs::write(folder.join(name), content).unwrap();
+        }
+        let told = |name: &str| crate::open(folder.join(name), &OpenOptions::default()).err().unwrap();
+        let clips = |name: &str| match told(name) {
+            FrameError::Clips { first, .. } => first.ends_with("b.avi"),
+            _ => false,
+        };
+        assert!(clips(""), "{:?}", told(""));
+        #[cfg(feature = "pictures")]
+        assert!(clips("*.avi") && clips("*"), "{:?}", told("*.avi"));
+        #[cfg(feature = "pictures")]
+        assert!(matches!(told("*.mp4"), FrameError::NotAVideo { .. }));
+        std::fs::remove_file(folder.join("b.avi")).unwrap();
+        assert!(matches!(told(""), FrameError::Empty { .. }));
+        std::fs::remove_dir_all(&folder).unwrap();
     }
 
     #[cfg(feature = "pictures")]

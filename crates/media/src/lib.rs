@@ -199,6 +199,11 @@ impl Part {
         let at = |end: f64| times.partition_point(|time| *time < end - ROUNDED);
         at(self.from)..at(self.until).max(at(self.from))
     }
+
+    /// Whether a time lies in it; before its first picture a clip has none.
+    pub fn has(&self, time: f64) -> bool {
+        (self.from <= 0.0 || time >= self.from - ROUNDED) && time < self.until - ROUNDED
+    }
 }
 
 /// How far times may be rounded to lie within a part, seconds.
@@ -265,6 +270,14 @@ pub enum FrameError {
         path: String,
         /// What is missing.
         what: &'static str,
+    },
+    /// A folder or a pattern has clips where pictures of one are read.
+    #[error("{path}: no pictures but clips, {first} the first of them: one clip is read at a time")]
+    Clips {
+        /// The input as given.
+        path: String,
+        /// The first clip.
+        first: String,
     },
     /// The content is neither a video nor a picture.
     #[error("{path}: not a video or a picture ({what})")]
@@ -692,6 +705,18 @@ pub fn is_clip(path: &Path) -> bool {
     let holds = |content| !matches!(content, Content::Empty | Content::Text | Content::Unknown);
     let head = || head_of(&mut File::open(path)?);
     path.is_dir() || path.is_file() && head().is_ok_and(|head| holds(sniff(&head)))
+}
+
+/// The first of these files that holds a video.
+fn first_video(mut files: Vec<PathBuf>) -> Option<String> {
+    let holds = |path: &PathBuf| {
+        let head = File::open(path).and_then(|mut file| head_of(&mut file));
+        let video =
+            |content| matches!(content, Content::Y4m | Content::Avi | Content::IsoMedia | Content::Other(_));
+        path.is_file() && head.is_ok_and(|head| video(sniff(&head)))
+    };
+    files.sort();
+    files.iter().find(|path| holds(path)).map(|path| path.display().to_string())
 }
 
 /// What a file begins with, as far as it tells what it is.
