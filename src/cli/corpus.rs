@@ -1,24 +1,27 @@
 //! `handcast corpus`: a folder of clips and motions to a folder of streams.
 
 use std::io::IsTerminal as _;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use anyhow::{bail, ensure};
 use glob::Pattern;
 use handcast_corpus::{Choice, Corpus, Item, Outcome, Report, Settings, Worker};
+use handcast_formats::motion::Format;
 use indicatif::{HumanDuration, ProgressBar, ProgressStyle};
 
-use super::common::{RateArgs, limits, progress};
+use super::common::{RateArgs, counted, limits, progress};
 use super::ending::place_of;
+use super::given;
 use super::part::PartArgs;
 use super::tracking::TrackArgs;
 
 /// Tracks and encodes all clips and motion files of a folder and its subfolders
 ///
 /// OUT/streams has a stream for each input, OUT/manifest.jsonl a line for each stream, OUT/failures.jsonl one for each
-/// input that made none, OUT/report.html what is worth looking at. Called again it goes on where it was ended, and does
-/// anew what has changed since.
+/// input that made none, OUT/report.html what is worth looking at. Of motion files too
+/// a part and one hand are taken where they are asked for, and sizes and smoothing where poses are solved for. Called again
+/// it goes on where it was ended, and does anew what has changed since.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// Folder with clips (MP4, MOV, AVI, GIF, WebP, Y4M; what ffmpeg reads, where it is there) and motion files (all that
@@ -61,7 +64,6 @@ pub fn cores() -> usize {
 pub fn run(args: &Args) -> anyhow::Result<()> {
     let show = !args.track.quiet && !args.track.json;
     let (mut track, finder) = args.track.settings()?;
-    // Motions are encoded whole.
     let part = args.part.part()?;
     (track.from, track.until) = (part.from, Some(part.until).filter(|until| until.is_finite()));
     let settings = Settings { track, encode: args.rate.settings() };
@@ -69,6 +71,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     choice.only.clone_from(&args.only);
     choice.checksum = args.checksum;
     choice.retry = args.retry;
+    check_input(&args.input)?;
     let mut corpus = Corpus::open(&args.input, &args.output, &settings, &choice)?;
     let known = corpus.done_before() + corpus.failed_before();
     ensure!(
@@ -77,6 +80,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         args.input.display(),
         if args.only.is_empty() { "" } else { " that --match lets through" }
     );
+    tell_of_work(&corpus);
     let worker =
         Worker::new(&args.input, &args.output, &settings).with_finder(finder).with_limits(limits().clone());
     let worker = worker.with_places(place_of);
@@ -86,6 +90,54 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     shown.bar.finish_and_clear();
     let report = corpus.finish()?;
     tell(args, &report)
+}
+
+/// Refuses what is no folder, and says what is meant for it.
+fn check_input(input: &Path) -> anyhow::Result<()> {
+    let name = input.display();
+    ensure!(
+        !input.is_file(),
+        "{name}: a file, and corpus does folders: of one clip `handcast run` makes a stream, of one motion `handcast encode`"
+    );
+    let is_pattern = |part: &&Path| part.to_string_lossy().contains(['*', '?', '[']);
+    if !input.exists()
+        && let Some(pattern) = input.ancestors().filter(is_pattern).last()
+    {
+        let folder = pattern.parent().filter(|folder| !folder.as_os_str().is_empty());
+        let folder = folder.unwrap_or(Path::new("."));
+        let below = input.strip_prefix(folder).unwrap_or(input).display();
+        bail!(
+            "{name}: no such folder; a pattern goes with --match: handcast corpus {} --match \"{below}\"",
+            folder.display()
+        );
+    }
+    Ok(())
+}
+
+/// Says which results are done anew, and which options are not for motions.
+fn tell_of_work(corpus: &Corpus) {
+    let anew = corpus.done_otherwise();
+    if anew > 0 {
+        let [were, are] = if anew == 1 { ["was", "is"] } else { ["were", "are"] };
+        let results = counted(anew, "result");
+        errln!(
+            "handcast: {results} {were} made with other settings, or by another version, and {are} done anew"
+        );
+    }
+    let is_motion = |item: &&Item| Format::by_name(Path::new(&item.name)).is_some();
+    let motions = corpus.todo().iter().filter(is_motion).count();
+    if motions == 0 {
+        return;
+    }
+    let motions = counted(motions as u64, "motion file");
+    let idle = given::among(&["view", "mirror", "start"]);
+    if !idle.is_empty() {
+        let apply = if idle.len() > 1 { "apply" } else { "applies" };
+        errln!("handcast: {} {apply} to clips alone, not to the {motions} among the inputs", idle.join(", "));
+    }
+    if !given::among(&["fov"]).is_empty() {
+        errln!("handcast: --fov applies to clips, and of the {motions} to joints seen in pictures alone");
+    }
 }
 
 fn tell(args: &Args, report: &Report) -> anyhow::Result<()> {

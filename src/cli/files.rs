@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail, ensure};
 use clap::ArgMatches;
+use handcast_corpus::RUN_RESULTS;
 use handcast_formats::atomic::AtomicFile;
 
 use super::unnamed;
@@ -13,18 +14,6 @@ use super::unnamed;
 /// The arguments, of any subcommand, that name what is written. All other paths are read.
 const WRITTEN: [&str; 10] =
     ["output", "overlay", "debug", "save_person", "poses", "masks", "json", "svg", "record", "labels"];
-/// What `run` and `demo` write into their output folder.
-pub const RESULTS: [&str; 9] = [
-    "poses.jsonl",
-    "person.toml",
-    "overlay.mp4",
-    "overlay.avi",
-    "hand.fba",
-    "hand.glb",
-    "preview.png",
-    "report.json",
-    "report.txt",
-];
 
 /// Makes sure that nothing the command line says to write is also read, or written twice.
 ///
@@ -49,7 +38,7 @@ pub fn keep_inputs(matches: &ArgMatches) -> anyhow::Result<()> {
     ensure!(streamed < 2, "-: two outputs, and one standard output");
     written.extend(unnamed::folder(name, matches));
     if ["run", "demo"].contains(&name) {
-        let files = written.iter().flat_map(|folder| RESULTS.map(|file| folder.join(file)));
+        let files = written.iter().flat_map(|folder| RUN_RESULTS.map(|file| folder.join(file)));
         written = files.collect();
     }
     for (i, output) in written.iter().enumerate() {
@@ -70,7 +59,7 @@ const FOLDERS: [(&str, &str); 2] = [("debug", "fit.png"), ("masks", "00000.png")
 /// What a command makes in the folder that its output is; nothing of those that write a file.
 fn made_in(name: &str, output: &Path) -> &'static [&'static str] {
     match name {
-        "run" | "demo" => &RESULTS,
+        "run" | "demo" => &RUN_RESULTS,
         "corpus" => &["manifest.jsonl"],
         "man" => &["handcast.1"],
         "synth" if output.extension().is_none() => &["00000.png"],
@@ -88,7 +77,7 @@ pub fn check_outputs(matches: &ArgMatches) -> anyhow::Result<()> {
         (name, matches) = (sub, of_sub);
     }
     if let Some(folder) = unnamed::folder(name, matches) {
-        try_folder(&folder, &RESULTS)?;
+        try_folder(&folder, &RUN_RESULTS)?;
     }
     for id in WRITTEN {
         let Ok(Some(paths)) = matches.try_get_many::<PathBuf>(id) else { continue };

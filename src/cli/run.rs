@@ -9,6 +9,7 @@ use handcast_codec::notices;
 use handcast_codec::{
     DecodedStream, EncodedClip, PoseDecoderOptions, TipError, clip_rate, decode_poses_within, encode_bridged,
 };
+use handcast_corpus::RUN_RESULTS;
 use handcast_eval::fidelity::{AngleError, angle_error};
 use handcast_fba::DecoderOptions;
 use handcast_formats::atomic::AtomicFile;
@@ -26,7 +27,6 @@ use super::common::{RateArgs, busy, check_span, ending, limits, warn_of_uneven_t
 use super::decode::stream_facts;
 use super::demo_clip;
 use super::encode::{off, tips_mm};
-use super::files::RESULTS;
 use super::glb_out::GlbArgs;
 use super::overlay;
 use super::part::PartArgs;
@@ -354,7 +354,7 @@ impl Work {
             _ => false,
         };
         let old: Vec<&str> =
-            RESULTS.into_iter().filter(is_old).filter(|name| self.folder().join(name).exists()).collect();
+            RUN_RESULTS.into_iter().filter(is_old).filter(|name| self.folder().join(name).exists()).collect();
         if !old.is_empty() {
             errln!("handcast: {}: {} left by an earlier run", self.folder().display(), old.join(", "));
         }

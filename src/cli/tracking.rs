@@ -260,14 +260,8 @@ impl TrackArgs {
         if let Some(notice) = sink.nearness.as_ref().and_then(Nearness::notice) {
             errln!("handcast: {notice}");
         }
-        if end.further > 0 {
-            let s = if end.further > 1 { "s" } else { "" };
-            errln!(
-                "handcast: {}: at least {} further hand{s} are seen beside the two that are tracked at most, and passed over",
-                path.display(),
-                end.further
-            );
-        }
+        let notices = end.notices(self.view.known());
+        notices.iter().for_each(|notice| errln!("handcast: {}: {notice}", path.display()));
         if let (Some(dir), Some(masks), true) = (&self.mask, of_masks, part.is_whole())
             && masks > sink.read
         {
@@ -284,15 +278,6 @@ impl TrackArgs {
             let sides: Vec<_> = end.hands.iter().map(|start| start.side).collect();
             let same = resumed.check_hands(&sides, journal);
             same.map_err(anyhow::Error::from).or_else(|error| resumed.keep(journal).and(Err(error)))?;
-        }
-        if let Some(told) = self.view.known() {
-            for start in end.hands.iter().filter(|start| start.view != told) {
-                let [told, shown] = [told.name(), start.view.name()];
-                errln!(
-                    "handcast: --view says {told}, but thumb and fingers of the {} hand show its {shown}: that is what is tracked",
-                    start.side.name()
-                );
-            }
         }
         Ok(Tracked { end, frames, tallies, overlay, clip_size, begun })
     }

@@ -136,6 +136,65 @@ fn every_input_has_a_stream_and_a_line_that_tells_of_it() {
             "{name}"
         );
     }
+
+    // What run made of a clip is no input, where it lies among them.
+    fs::rename(&single, input.join("a/clip-00-handcast")).unwrap();
+    let said = done(&["corpus", path(&input), "-o", path(&out)]);
+    assert!(said.contains("4 inputs"), "{said}");
+    assert!(said.contains("results of this program in 1 folder: a/clip-00-handcast"), "{said}");
+}
+
+#[test]
+fn motions_are_imported_as_asked_and_what_is_worth_knowing_of_them_is_kept() {
+    let dir = tempfile::tempdir().unwrap();
+    let (input, out) = (dir.path().join("in"), dir.path().join("out"));
+    inputs(&input, 1);
+    done(&["import", "fixtures/demo.poses.jsonl", "-o", path(&input.join("hand.landmarks.jsonl"))]);
+    // A pose that is missing; a clip that is cut.
+    let fist = input.join("a/b/fist.jsonl");
+    let poses = fs::read_to_string(&fist).unwrap();
+    let gap = poses.lines().enumerate().filter_map(|(i, line)| (i != 6).then_some(line));
+    fs::write(&fist, gap.collect::<Vec<_>>().join("\n")).unwrap();
+    let clip = fs::read(input.join("a/clip-00.avi")).unwrap();
+    fs::write(input.join("a/clip-00.avi"), &clip[..clip.len() * 4 / 5]).unwrap();
+    let run = |more: &[&str]| {
+        let output = handcast(&[&["corpus", path(&input), "-o", path(&out)], more].concat());
+        assert!(output.status.success(), "{}", text(&output.stderr));
+        let lines = lines(&out.join("manifest.jsonl")).into_iter();
+        let lines: BTreeMap<String, Value> =
+            lines.map(|line| (line["name"].as_str().unwrap().to_owned(), line)).collect();
+        (lines, text(&output.stdout).to_owned(), text(&output.stderr).to_owned())
+    };
+    let told = |line: &Value, words: &str| {
+        let mut notices = line["notices"].as_array().unwrap().iter();
+        notices.any(|notice| notice.as_str().unwrap().contains(words))
+    };
+    let (usual, said, _) = run(&[]);
+    let bridged = "1 pose in a gap is interpolated";
+    assert!(told(&usual["a/b/fist.jsonl"], bridged), "{usual:?}");
+    let cut = &usual["a/clip-00.avi"];
+    assert!(told(cut, cut["shortfall"].as_str().unwrap()), "{cut}");
+    assert!(said.contains("notices     of 2 of the streams"), "{said}");
+    let facts = report(&out);
+    assert_eq!(facts["noticed"], 2, "{facts}");
+    assert!(fs::read_to_string(out.join("report.html")).unwrap().contains(bridged));
+
+    let (smooth, _, said) = run(&["--smooth", "--mirror", "--match", "*.jsonl"]);
+    assert!(said.contains("3 results were made with other settings"), "{said}");
+    assert!(said.contains("--mirror applies to clips alone, not to the 3 motion files"), "{said}");
+    let [joints, poses] = ["hand.landmarks.jsonl", "a/b/demo.poses.jsonl"];
+    let other = |lines: &BTreeMap<String, Value>, name: &str| {
+        lines[name]["stream_sha256"] != usual[name]["stream_sha256"]
+    };
+    assert!(other(&smooth, joints) && !other(&smooth, poses));
+    assert!(told(&smooth[poses], "--smooth changes nothing"), "{smooth:?}");
+    // Those not asked for are of other settings now.
+    let facts = report(&out);
+    assert_eq!((&facts["clips"], &facts["otherwise"]), (&3.into(), &2.into()), "{facts}");
+    let (part, ..) = run(&["--from", "0.2", "--until", "0.6", "--match", "hand.*"]);
+    assert_eq!(part[joints]["seconds"], 0.4);
+    let (long, ..) = run(&["--hand-length-mm", "120", "--hand", "right", "--match", "hand.*"]);
+    assert!(other(&long, joints));
 }
 
 #[test]
@@ -221,7 +280,8 @@ fn a_broken_clip_is_a_line_and_the_others_are_done() {
     assert!(cfg!(windows) || page.contains("x&lt;y&gt;.csv") && !page.contains("x<y>"), "names are escaped");
 
     // Not tried again, unless asked for, or mended.
-    done(&["corpus", path(&input), "-o", path(&out)]);
+    let said = done(&["corpus", path(&input), "-o", path(&out)]);
+    assert!(said.contains("3 failed before, which --retry tries again"), "{said}");
     let run = |key: &str| report(&out)["run"][key].as_u64().unwrap();
     assert_eq!([run("before"), run("failed_before"), run("done"), run("failed")], [4, 3, 0, 0]);
     done(&["corpus", path(&input), "-o", path(&out), "--retry"]);
@@ -255,7 +315,7 @@ fn a_part_of_each_clip_is_done_anew_with_other_bounds() {
     let part = ["--from", "0.12", "--until", "0:00.32"];
     assert_eq!(run(&part), [0, 5, 0]);
     assert!((seconds("a/clip-00.avi") - 0.2).abs() < 1e-9 && whole > 0.4, "{whole}");
-    assert!((seconds("a/b/fist.jsonl") - motion).abs() < 1e-9, "motions are whole");
+    assert!((seconds("a/b/fist.jsonl") - 0.2).abs() < 1e-9 && motion > 0.4, "{motion}");
     // As `run` makes it of one clip.
     let alone = dir.path().join("alone");
     done(&[&["run", path(&input.join("a/clip-00.avi")), "-o", path(&alone), "-q"], &part[..]].concat());
@@ -265,9 +325,10 @@ fn a_part_of_each_clip_is_done_anew_with_other_bounds() {
     assert_eq!(run(&part), [5, 0, 0]);
     assert_eq!(run(&["--from", "0.12"]), [0, 5, 0]);
     // Behind the clips' end.
-    assert_eq!(run(&["--from", "9"]), [0, 3, 2]);
+    assert_eq!(handcast(&["corpus", path(&input), "-o", path(&out), "--from", "99"]).status.code(), Some(1));
     let failures = lines(&out.join("failures.jsonl"));
-    assert!(failures[0]["error"].as_str().unwrap().contains("a/clip-00.avi"), "{failures:?}");
+    assert!(failures[1]["error"].as_str().unwrap().starts_with("no pose from 99 s"), "{failures:?}");
+    assert!(failures[2]["error"].as_str().unwrap().contains("a/clip-00.avi"), "{failures:?}");
     assert_eq!(
         handcast(&["corpus", path(&input), "-o", path(&out), "--from", "2", "--until", "2"]).status.code(),
         Some(2)
@@ -459,6 +520,18 @@ fn wrong_calls_are_told() {
     fs::write(at("bad/notes.txt"), "words").unwrap();
     let none = at("none");
     refused(&["corpus", path(&none), "-o", path(&at("o1"))], &at("o1"), &["none", "no such folder"]);
+    refused(
+        &["corpus", "fixtures/demo.avi", "-o", path(&at("o1"))],
+        &at("o1"),
+        &["a file", "`handcast run`"],
+    );
+    let pattern = at("bad/*.avi");
+    refused(&["corpus", path(&pattern), "-o", path(&at("o1"))], &at("o1"), &["no such folder", "--match"]);
+    fs::copy("fixtures/demo.avi", at("bad/clip.avi")).unwrap();
+    for clips in [&pattern, &at("bad")] {
+        refused(&["run", path(clips), "-o", path(&at("o1"))], &at("o1"), &["one clip", "`handcast corpus`"]);
+    }
+    fs::remove_file(at("bad/clip.avi")).unwrap();
     let out = handcast(&["corpus", path(&at("empty")), "-o", path(&at("o2"))]);
     assert_eq!(out.status.code(), Some(1));
     assert!(text(&out.stderr).contains("no clip and no motion file"), "{}", text(&out.stderr));

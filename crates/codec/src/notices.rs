@@ -17,7 +17,7 @@ const ROOM: [f64; 2] = [1.05, 1.1];
 /// Seconds from which on poses begin late: pictures beside them would be out of step.
 const LATE: f64 = 0.1;
 /// Seconds from which on a time is that of a clock (since 1970, say), beside which nothing is played from its start.
-const EARLIEST_CLOCK: f64 = 86400.0;
+pub const EARLIEST_CLOCK: f64 = 86400.0;
 
 /// What a stream in this profile will not have of poses: wrists that are farther off than it says, and that a hand was lost, had
 /// no pose or came late; with gaps of up to `max_gap` seconds bridged.

@@ -60,9 +60,9 @@ pub enum CorpusError {
 
 pub(crate) const MANIFEST: &str = "manifest.jsonl";
 pub(crate) const FAILURES: &str = "failures.jsonl";
-const REPORT: &str = "report.json";
-const PAGE: &str = "report.html";
-const SETTINGS: &str = "settings";
+pub(crate) const REPORT: &str = "report.json";
+pub(crate) const PAGE: &str = "report.html";
+pub(crate) const SETTINGS: &str = "settings";
 
 /// Which inputs are done, of those there are.
 #[derive(Clone, Debug, Default)]
@@ -131,13 +131,22 @@ impl Corpus {
 
         let mut run = Run {
             inputs: found.items.len() as u64,
-            others: found.others,
-            other_names: found.other_names,
+            others: found.others.count,
+            other_names: found.others.first,
+            results: found.results.count,
+            result_names: found.results.first,
             ..Run::default()
         };
-        let mut known =
-            Known { input, output, settings: &digest, checksum: choice.checksum, todo: found.items };
+        let mut known = Known {
+            input,
+            output,
+            settings: &digest,
+            checksum: choice.checksum,
+            todo: found.items,
+            otherwise: 0,
+        };
         let manifest = Ledger::open(&output.join(MANIFEST), |entry| known.entry(entry))?;
+        run.otherwise = known.otherwise;
         run.before = run.inputs - known.todo.len() as u64;
         let failures = Ledger::open(&output.join(FAILURES), |failure| known.failure(failure, choice.retry))?;
         run.failed_before = run.inputs - known.todo.len() as u64 - run.before;
@@ -176,6 +185,11 @@ impl Corpus {
     /// Inputs that have a stream already.
     pub fn done_before(&self) -> u64 {
         self.run.before
+    }
+
+    /// Inputs whose stream was made with other settings, or by another version, and is made anew.
+    pub fn done_otherwise(&self) -> u64 {
+        self.run.otherwise
     }
 
     /// Inputs that failed before and are not tried again.
@@ -299,6 +313,8 @@ struct Known<'a> {
     settings: &'a str,
     checksum: bool,
     todo: BTreeMap<String, Item>,
+    /// Those whose stream was made with other settings, or by another version.
+    otherwise: u64,
 }
 
 impl Known<'_> {
@@ -308,9 +324,9 @@ impl Known<'_> {
         if !self.is_whole(&self.output.join(stream_name(&item.name)), &entry) {
             return None;
         }
-        if self.is_of(&entry.made_by, &entry.settings)
-            && self.same(item, entry.input_bytes, entry.modified, &entry.sha256)
-        {
+        if !self.is_of(&entry.made_by, &entry.settings) {
+            self.otherwise += 1;
+        } else if self.same(item, entry.input_bytes, entry.modified, &entry.sha256) {
             entry.modified = item.modified;
             entry.input_bytes = item.bytes;
             self.todo.remove(&entry.name);

@@ -1,7 +1,7 @@
 //! Which files of a folder are inputs.
 
 use std::cell::RefCell;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::io::Read as _;
 use std::path::{Path, PathBuf};
 use std::time::UNIX_EPOCH;
@@ -9,19 +9,36 @@ use std::time::UNIX_EPOCH;
 use glob::Pattern;
 use handcast_formats::motion::Format;
 use serde::{Deserialize, Serialize};
-use walkdir::WalkDir;
+use walkdir::{DirEntry, WalkDir};
 
-use crate::corpus::CorpusError;
+use crate::corpus::{CorpusError, FAILURES, MANIFEST, PAGE, REPORT, SETTINGS};
+use crate::work::STREAMS;
 
 /// Endings of clips: what is decoded in the process, and what goes through ffmpeg where that is there.
 pub const CLIP_ENDINGS: [&str; 21] = [
     "mp4", "m4v", "mov", "avi", "gif", "apng", "webp", "y4m", "mkv", "webm", "mpg", "mpeg", "ts", "mts",
     "m2ts", "wmv", "flv", "3gp", "ogv", "divx", "vob",
 ];
+/// What `run` and `demo` write into their output folder.
+pub const RUN_RESULTS: [&str; 9] = [
+    "poses.jsonl",
+    "person.toml",
+    "overlay.mp4",
+    "overlay.avi",
+    "hand.fba",
+    "hand.glb",
+    "preview.png",
+    "report.json",
+    "report.txt",
+];
+/// The clip that `demo` writes beside them.
+const DEMO_CLIP: &str = "demo.avi";
+/// Most bytes of a report that tells what it is of.
+const LONGEST_REPORT: u64 = 1 << 24;
 /// Bytes of an MPEG-2 transport packet, each of which begins with [`SYNC`] (ISO/IEC 13818-1, 2.4.3.2).
 const PACKET: usize = 188;
 const SYNC: u8 = 0x47;
-/// Names of other files that are kept.
+/// Names of what is passed over that are kept.
 const NAMED: usize = 25;
 
 /// An input: a clip or a motion.
@@ -46,24 +63,33 @@ impl Item {
 #[derive(Debug, Default)]
 pub(crate) struct Inputs {
     pub items: BTreeMap<String, Item>,
-    pub others: u64,
-    /// The first names of them, hidden folders by theirs.
-    pub other_names: Vec<String>,
+    /// What is neither clip nor motion, hidden folders as one.
+    pub others: Names,
+    /// Folders with results of this program, which are no inputs.
+    pub results: Names,
     /// Items that cannot be looked into, and why.
     pub faults: BTreeMap<String, String>,
 }
 
-impl Inputs {
-    /// Counts what is no input.
-    fn other(&mut self, name: String) {
-        self.others += 1;
-        let at = self.other_names.partition_point(|other| *other < name);
+/// How many there are, and the first names of them.
+#[derive(Debug, Default)]
+pub(crate) struct Names {
+    pub count: u64,
+    pub first: Vec<String>,
+}
+
+impl Names {
+    fn add(&mut self, name: String) {
+        self.count += 1;
+        let at = self.first.partition_point(|other| *other < name);
         if at < NAMED {
-            self.other_names.truncate(NAMED - 1);
-            self.other_names.insert(at, name);
+            self.first.truncate(NAMED - 1);
+            self.first.insert(at, name);
         }
     }
+}
 
+impl Inputs {
     /// Takes in what cannot be looked into.
     fn fault(&mut self, name: String, why: String) {
         self.items.insert(name.clone(), Item { name: name.clone(), bytes: 0, modified: 0 });
@@ -94,24 +120,88 @@ fn is_transport_stream(path: &Path) -> bool {
     }
 }
 
-/// The inputs below `folder`, links followed; what is hidden, and what is in `output`, is none. With patterns only what one
-/// of them fits. Of a link to a folder that it is in nothing is taken twice.
+/// The names of results that a folder has: those of a corpus, and of one clip.
+fn results_in(folder: &Path) -> Vec<&'static str> {
+    let mut names = Vec::new();
+    if folder.join(MANIFEST).is_file() && folder.join(SETTINGS).is_dir() {
+        names.extend([MANIFEST, FAILURES, REPORT, PAGE, STREAMS, SETTINGS]);
+    }
+    if folder.join("hand.fba").is_file() && is_of_a_clip(&folder.join(REPORT)) {
+        names.extend(RUN_RESULTS);
+        names.push(DEMO_CLIP);
+    }
+    names
+}
+
+/// Whether a report is that of `run`.
+fn is_of_a_clip(report: &Path) -> bool {
+    let read = || {
+        let mut text = Vec::new();
+        std::fs::File::open(report).ok()?.take(LONGEST_REPORT).read_to_end(&mut text).ok()?;
+        serde_json::from_slice::<serde_json::Value>(&text).ok()
+    };
+    read().is_some_and(|report| report["clip"].is_string() && report["stream_bytes"].is_u64())
+}
+
+/// What is looked into on the way through the folders.
+struct Way<'a> {
+    folder: &'a Path,
+    output: Option<PathBuf>,
+    hidden: Vec<String>,
+    /// The names of results in folders that have some.
+    results: BTreeMap<PathBuf, Vec<&'static str>>,
+    /// Those in which some were passed over.
+    passed: BTreeSet<String>,
+}
+
+impl Way<'_> {
+    /// A name below the input folder; `.` for that itself.
+    fn name(&self, path: &Path) -> String {
+        let below = lossy(path.strip_prefix(self.folder).unwrap_or(path));
+        if below.is_empty() { ".".into() } else { below }
+    }
+
+    fn takes(&mut self, entry: &DirEntry) -> bool {
+        let (path, name) = (entry.path(), entry.file_name());
+        if entry.depth() > 0 {
+            if name.as_encoded_bytes().starts_with(b".") {
+                self.hidden.push(self.name(path));
+                return false;
+            }
+            if entry.file_type().is_dir() && self.output.is_some() && path.canonicalize().ok() == self.output
+            {
+                return false;
+            }
+            if let Some((parent, results)) =
+                path.parent().and_then(|parent| self.results.get_key_value(parent))
+                && results.iter().any(|result| name == *result)
+            {
+                self.passed.insert(self.name(parent));
+                return false;
+            }
+        }
+        if entry.file_type().is_dir() {
+            let results = results_in(path);
+            if !results.is_empty() {
+                self.results.insert(path.into(), results);
+            }
+        }
+        true
+    }
+}
+
+/// The inputs below `folder`, links followed; what is hidden, what is in `output`, and what this program made of clips or of a
+/// corpus, is none. With patterns only what one of them fits. Of a link to a folder that it is in nothing is taken twice.
 pub(crate) fn inputs(folder: &Path, output: &Path, patterns: &[Pattern]) -> Result<Inputs, CorpusError> {
     let output = output.canonicalize().ok();
-    let hidden = |name: &std::ffi::OsStr| name.as_encoded_bytes().starts_with(b".");
-    let is_output = |entry: &walkdir::DirEntry| {
-        entry.file_type().is_dir() && output.is_some() && entry.path().canonicalize().ok() == output
-    };
-    let passed = RefCell::new(Vec::new());
-    let wanted = |entry: &walkdir::DirEntry| {
-        let is_hidden = entry.depth() > 0 && hidden(entry.file_name());
-        if is_hidden {
-            passed.borrow_mut().push(lossy(entry.path().strip_prefix(folder).unwrap_or(entry.path())));
-        }
-        !is_hidden && (entry.depth() == 0 || !is_output(entry))
-    };
+    let (hidden, results, passed) = Default::default();
+    let way = RefCell::new(Way { folder, output, hidden, results, passed });
     let mut found = Inputs::default();
-    for entry in WalkDir::new(folder).follow_links(true).into_iter().filter_entry(wanted) {
+    for entry in WalkDir::new(folder)
+        .follow_links(true)
+        .into_iter()
+        .filter_entry(|entry| way.borrow_mut().takes(entry))
+    {
         let wanted = |name: &str| patterns.is_empty() || patterns.iter().any(|pattern| pattern.matches(name));
         let entry = match entry {
             Ok(entry) => entry,
@@ -134,7 +224,7 @@ pub(crate) fn inputs(folder: &Path, output: &Path, patterns: &[Pattern]) -> Resu
         }
         let below = entry.path().strip_prefix(folder).unwrap_or(entry.path());
         if !is_input(entry.path()) {
-            found.other(lossy(below));
+            found.others.add(lossy(below));
             continue;
         }
         let parts: Option<Vec<&str>> = below.iter().map(|part| part.to_str()).collect();
@@ -146,7 +236,7 @@ pub(crate) fn inputs(folder: &Path, output: &Path, patterns: &[Pattern]) -> Resu
             continue;
         };
         if !wanted(&name) {
-            found.other(name);
+            found.others.add(name);
             continue;
         }
         let facts = entry.metadata().map_err(|error| CorpusError::Input { what: error.to_string() })?;
@@ -154,7 +244,9 @@ pub(crate) fn inputs(folder: &Path, output: &Path, patterns: &[Pattern]) -> Resu
         let modified = since.map_or(0, |since| i64::try_from(since.as_nanos()).unwrap_or(i64::MAX));
         found.items.insert(name.clone(), Item { name, bytes: facts.len(), modified });
     }
-    passed.into_inner().into_iter().for_each(|name| found.other(name));
+    let Way { hidden, passed, .. } = way.into_inner();
+    hidden.into_iter().for_each(|name| found.others.add(name));
+    passed.into_iter().for_each(|name| found.results.add(name));
     Ok(found)
 }
 
@@ -202,12 +294,53 @@ mod tests {
         let names = |patterns: &[&str]| {
             let patterns: Vec<_> = patterns.iter().map(|p| Pattern::new(p).unwrap()).collect();
             let found = inputs(dir.path(), &at("out"), &patterns).unwrap();
-            (found.items.into_keys().collect::<Vec<_>>(), found.other_names)
+            (found.items.into_keys().collect::<Vec<_>>(), found.others.first)
         };
         let all = ["a/b/z.landmarks.jsonl", "a/y.pose", "x.MP4"].map(String::from).to_vec();
         assert_eq!(names(&[]), (all, [".git", "a/notes.txt"].map(String::from).to_vec()));
         assert_eq!(names(&["a/*"]).0, ["a/b/z.landmarks.jsonl", "a/y.pose"]);
         assert_eq!(names(&["*.MP4", "*.avi"]).0, ["x.MP4"]);
+    }
+
+    #[test]
+    fn results_of_this_program_are_no_inputs() {
+        let dir = tempfile::tempdir().unwrap();
+        let at = |name: &str| dir.path().join(name);
+        for folder in ["day/clip-handcast", "old/streams", "old/settings", "other"] {
+            std::fs::create_dir_all(at(folder)).unwrap();
+        }
+        let of_run = r#"{"clip":"clip.mp4","stream_bytes":9}"#;
+        for (name, content) in [
+            ("day/clip.mp4", "1"),
+            ("day/clip-handcast/hand.fba", "1"),
+            ("day/clip-handcast/overlay.mp4", "1"),
+            ("day/clip-handcast/report.json", of_run),
+            ("day/clip-handcast/mine.jsonl", "1"),
+            ("old/manifest.jsonl", ""),
+            ("old/report.json", "{}"),
+            ("old/streams/a.mp4.fba", "1"),
+            ("old/settings/1.json", "{}"),
+            ("old/clip.mp4", "1"),
+            // Another program's.
+            ("other/hand.fba", "1"),
+            ("other/report.json", "{}"),
+            ("other/manifest.jsonl", "1"),
+        ] {
+            std::fs::write(at(name), content).unwrap();
+        }
+        let found = inputs(dir.path(), &at("out"), &[]).unwrap();
+        let names: Vec<&str> = found.items.keys().map(String::as_str).collect();
+        let own = ["day/clip-handcast/mine.jsonl", "day/clip.mp4", "old/clip.mp4"];
+        assert_eq!(
+            names,
+            [&own[..], &["other/hand.fba", "other/manifest.jsonl", "other/report.json"]].concat()
+        );
+        assert_eq!((found.results.count, found.results.first.join(" ")), (2, "day/clip-handcast old".into()));
+        assert_eq!(found.others.count, 0);
+        // The folder itself may have some, as where it is the one for the results.
+        let found = inputs(&at("old"), &at("old"), &[]).unwrap();
+        assert_eq!(found.items.into_keys().collect::<Vec<_>>(), ["clip.mp4"]);
+        assert_eq!(found.results.first, ["."]);
     }
 
     #[test]
@@ -224,7 +357,7 @@ mod tests {
         let found = inputs(dir.path(), &dir.path().join("out"), &[]).unwrap();
         assert_eq!(found.items.into_keys().collect::<Vec<_>>(), ["clip.TS", "clip.m2ts"]);
         assert_eq!(
-            (found.others, found.other_names),
+            (found.others.count, found.others.first),
             (2, ["page.ts", "short.ts"].map(String::from).to_vec())
         );
     }

@@ -10,7 +10,7 @@ mod settings;
 mod work;
 
 pub use corpus::{Choice, Corpus, CorpusError};
-pub use inputs::{CLIP_ENDINGS, Item};
+pub use inputs::{CLIP_ENDINGS, Item, RUN_RESULTS};
 pub use line::{Entry, Failure, Kind, Outcome};
 pub use report::{Report, Run};
 pub use settings::{Aim, EncodeSettings, Settings, TrackSettings};

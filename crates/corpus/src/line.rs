@@ -56,6 +56,9 @@ pub struct Entry {
     /// What of the clip could not be shown, as it is damaged.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub shortfall: Option<String>,
+    /// What is worth knowing of how it was read, tracked and encoded, `shortfall` included: a line each.
+    #[serde(default)]
+    pub notices: Vec<String>,
     /// Program and version.
     pub made_by: String,
     /// [`Settings::digest`](crate::Settings::digest); `settings/DIGEST.json` has them.
@@ -128,6 +131,16 @@ pub(crate) fn one_line(error: &str) -> String {
     words.join(" ").chars().take(LONGEST).collect()
 }
 
+/// Most notices in a line.
+const MOST: usize = 8;
+
+/// Notices as a line has them.
+fn lines_of(notices: &[String]) -> Vec<String> {
+    let more = notices.len().saturating_sub(MOST);
+    let more = (more > 0).then(|| format!("{more} more of these, which encode or track tell"));
+    notices.iter().take(MOST).map(|notice| one_line(notice)).chain(more).collect()
+}
+
 /// A number with so many digits behind the point.
 fn short(value: f64, digits: i32) -> f64 {
     let scale = 10f64.powi(digits);
@@ -173,6 +186,7 @@ pub(crate) struct Made {
     pub report: PlanReport,
     pub seen: Seen,
     pub shortfall: Option<String>,
+    pub notices: Vec<String>,
 }
 
 impl Made {
@@ -205,6 +219,7 @@ impl Made {
             rms_deg: short(report.rms_degrees, 3),
             max_deg: short(report.max_degrees, 3),
             shortfall: self.shortfall.clone(),
+            notices: lines_of(&self.notices),
             made_by: crate::MADE_BY.into(),
             settings: settings.into(),
         }

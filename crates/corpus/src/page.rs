@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 
 use crate::line::Entry;
-use crate::report::{Histogram, Reason, Report};
+use crate::report::{Histogram, Report, Said};
 
 /// How the page looks.
 const STYLE: &str = include_str!("page.css");
@@ -30,7 +30,10 @@ pub(crate) fn page(report: &Report) -> String {
         &report.worst,
     );
     out += &table("Highest rates", "What restless or badly tracked hands cost.", &report.costliest);
-    out += &failures(report.failures, &report.reasons);
+    let failed = format!("{} inputs, by what was wrong.", report.failures);
+    out += &said("<h2 class=\"bad\">Failures</h2>", &failed, &report.reasons);
+    let noticed = format!("What is worth knowing of {} of the streams.", report.noticed);
+    out += &said("<h2>Notices</h2>", &noticed, &report.notices);
     out += &passed_over(report);
     let facts = serde_json::to_string(report).unwrap_or_default().replace('<', "\\u003c");
     let _ = write!(
@@ -164,43 +167,49 @@ fn table(title: &str, note: &str, entries: &[Entry]) -> String {
     out + "</tbody></table></div></section>\n"
 }
 
-fn failures(count: u64, reasons: &[Reason]) -> String {
-    if reasons.is_empty() {
+/// Inputs by what is said of them.
+fn said(title: &str, note: &str, kinds: &[Said]) -> String {
+    if kinds.is_empty() {
         return String::new();
     }
-    let mut out = format!(
-        "<section><h2 class=\"bad\">Failures</h2><p class=\"note\">{count} inputs, by what was wrong.</p>"
-    );
-    for reason in reasons {
-        let names: Vec<_> = reason.names.iter().map(|name| escaped(name)).collect();
-        let more = reason.count as usize - reason.names.len();
-        let more = if more > 0 { format!(" and {more} more") } else { String::new() };
-        let _ = write!(
-            out,
-            "<details><summary><b>{}</b> {}</summary><p class=\"note\">{}{more}</p></details>",
-            reason.count,
-            escaped(&reason.error),
-            names.join("<br>")
-        );
+    let mut out = format!("<section>{title}<p class=\"note\">{note}</p>");
+    for kind in kinds {
+        let summary = format!("<b>{}</b> {}", kind.count, escaped(&kind.words));
+        out += &listed(&summary, kind.count, &kind.names);
     }
     out + "</section>\n"
 }
 
-/// Files that are no inputs.
+/// A line that opens to names, of which there may be more.
+fn listed(summary: &str, count: u64, names: &[String]) -> String {
+    let names: Vec<_> = names.iter().map(|name| escaped(name)).collect();
+    let more = count.saturating_sub(names.len() as u64);
+    let more = if more > 0 { format!(" and {more} more") } else { String::new() };
+    let names = names.join("<br>");
+    format!("<details><summary>{summary}</summary><p class=\"note\">{names}{more}</p></details>")
+}
+
+/// What is no input, and streams that are left as they are.
 fn passed_over(report: &Report) -> String {
     let run = &report.run;
-    if run.others == 0 {
-        return String::new();
+    let mut parts = String::new();
+    if run.others > 0 {
+        let summary = format!("<b>{}</b> neither clip nor motion, or hidden", run.others);
+        parts += &listed(&summary, run.others, &run.other_names);
     }
-    let names: Vec<_> = run.other_names.iter().map(|name| escaped(name)).collect();
-    let more = run.others.saturating_sub(names.len() as u64);
-    let more = if more > 0 { format!(" and {more} more") } else { String::new() };
-    format!(
-        "<section><h2>Passed over</h2><details><summary><b>{}</b> neither clip nor motion, or hidden</summary>\
-         <p class=\"note\">{}{more}</p></details></section>\n",
-        run.others,
-        names.join("<br>")
-    )
+    if run.results > 0 {
+        let summary = format!("<b>{}</b> folders with results of this program", run.results);
+        parts += &listed(&summary, run.results, &run.result_names);
+    }
+    if report.otherwise > 0 {
+        let _ = write!(
+            parts,
+            "<p class=\"note\">{} streams were made with other settings, of inputs that are gone or were not asked for: they \
+             are left as they are, and not counted.</p>",
+            report.otherwise
+        );
+    }
+    if parts.is_empty() { parts } else { format!("<section><h2>Passed over</h2>{parts}</section>\n") }
 }
 
 fn escaped(text: &str) -> String {

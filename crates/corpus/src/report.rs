@@ -12,7 +12,7 @@ use crate::line::{Entry, Failure, Kind};
 
 /// How many clips a list has.
 const LISTED: usize = 25;
-/// How many kinds of failure, and names of each, are told.
+/// How many kinds of failures and of notices, and names of each, are told.
 const REASONS: usize = 25;
 /// How many of them are in the text.
 const TOLD: usize = 3;
@@ -29,8 +29,14 @@ pub struct Run {
     pub others: u64,
     /// The first names of them, in order.
     pub other_names: Vec<String>,
+    /// Folders in which results of this program were passed over.
+    pub results: u64,
+    /// The first names of them, in order.
+    pub result_names: Vec<String>,
     /// Inputs that had their stream before.
     pub before: u64,
+    /// Inputs that had a stream that was made with other settings, or by another version, and were to be done anew.
+    pub otherwise: u64,
     /// Inputs that had failed before, and were not tried again.
     pub failed_before: u64,
     /// Streams made.
@@ -75,11 +81,11 @@ impl Histogram {
     }
 }
 
-/// Inputs that failed with the same words.
+/// Inputs of which the same words tell something.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub(crate) struct Reason {
+pub(crate) struct Said {
     /// The words, without the input's name: those of the first, where others have other numbers in them.
-    pub error: String,
+    pub words: String,
     /// How many.
     pub count: u64,
     /// The first names.
@@ -112,6 +118,11 @@ pub struct Report {
     pub kbit_per_s: f64,
     /// Confidence on average over the seconds of clips that say one.
     pub confidence: Option<f64>,
+    /// Streams that were made with other settings, or by another version, of inputs that are gone or were not asked for: they
+    /// are left as they are, and counted in nothing else here.
+    pub otherwise: u64,
+    /// Streams of which there are notices.
+    pub noticed: u64,
     /// The last run.
     pub run: Run,
     pub(crate) confidences: Histogram,
@@ -120,7 +131,8 @@ pub struct Report {
     pub worst: Vec<Entry>,
     /// Streams of the highest rates.
     pub costliest: Vec<Entry>,
-    pub(crate) reasons: Vec<Reason>,
+    pub(crate) reasons: Vec<Said>,
+    pub(crate) notices: Vec<Said>,
 }
 
 /// The first of all by an order, without holding them all.
@@ -136,6 +148,34 @@ impl First {
             self.entries.truncate(LISTED - 1);
             self.entries.insert(at, entry.clone());
         }
+    }
+}
+
+/// What is said of inputs, by its words.
+#[derive(Default)]
+struct Kinds(BTreeMap<String, Said>);
+
+impl Kinds {
+    fn add(&mut self, words: &str, name: &str) {
+        let words = words.replace(&format!("{name}: "), "");
+        // Numbers differ from clip to clip where what is said does not.
+        let key: String = words.chars().filter(|c| !c.is_ascii_digit()).collect();
+        if self.0.len() >= 10 * REASONS && !self.0.contains_key(&key) {
+            return;
+        }
+        let said = self.0.entry(key).or_insert_with(|| Said { words, count: 0, names: Vec::new() });
+        said.count += 1;
+        if said.names.len() < REASONS {
+            said.names.push(name.into());
+        }
+    }
+
+    /// The most frequent ones.
+    fn most(self) -> Vec<Said> {
+        let mut all: Vec<Said> = self.0.into_values().collect();
+        all.sort_by_key(|said| std::cmp::Reverse(said.count));
+        all.truncate(REASONS);
+        all
     }
 }
 
@@ -159,18 +199,28 @@ impl Report {
             input_bytes: 0,
             kbit_per_s: 0.0,
             confidence: None,
+            otherwise: 0,
+            noticed: 0,
             run: run.clone(),
             confidences: Histogram::new(1.0, 20),
             rates: Histogram::new(8.0, 16),
             worst: Vec::new(),
             costliest: Vec::new(),
             reasons: Vec::new(),
+            notices: Vec::new(),
         };
         let mut worst = First { entries: Vec::new(), order: |a, b| worth(a).total_cmp(&worth(b)) };
         let mut costliest =
             First { entries: Vec::new(), order: |a, b| b.kbit_per_s.total_cmp(&a.kbit_per_s) };
         let (mut sum, mut over) = (0.0, 0.0);
+        let (mut reasons, mut notices) = (Kinds::default(), Kinds::default());
         each(&output.join(MANIFEST), |entry: Entry| {
+            if entry.settings != settings || entry.made_by != crate::MADE_BY {
+                report.otherwise += 1;
+                return;
+            }
+            report.noticed += u64::from(!entry.notices.is_empty());
+            entry.notices.iter().for_each(|notice| notices.add(notice, &entry.name));
             report.clips += 1;
             report.tracked_clips += u64::from(entry.kind == Kind::Clip);
             report.seconds += entry.seconds;
@@ -187,29 +237,17 @@ impl Report {
             }
             costliest.add(&entry);
         })?;
-        let mut reasons: BTreeMap<String, Reason> = BTreeMap::new();
         each(&output.join(FAILURES), |failure: Failure| {
             report.failures += 1;
-            let error = failure.error.replace(&format!("{}: ", failure.name), "");
-            // Numbers differ from clip to clip where the reason does not.
-            let key: String = error.chars().filter(|c| !c.is_ascii_digit()).collect();
-            if reasons.len() >= 10 * REASONS && !reasons.contains_key(&key) {
-                return;
-            }
-            let reason = reasons.entry(key).or_insert_with(|| Reason { error, count: 0, names: Vec::new() });
-            reason.count += 1;
-            if reason.names.len() < REASONS {
-                reason.names.push(failure.name);
-            }
+            reasons.add(&failure.error, &failure.name);
         })?;
         report.kbit_per_s =
             if report.seconds > 0.0 { report.bytes as f64 * 8e-3 / report.seconds } else { 0.0 };
         report.confidence = (over > 0.0).then(|| sum / over);
         report.worst = worst.entries;
         report.costliest = costliest.entries;
-        report.reasons = reasons.into_values().collect();
-        report.reasons.sort_by_key(|reason| std::cmp::Reverse(reason.count));
-        report.reasons.truncate(REASONS);
+        report.reasons = reasons.most();
+        report.notices = notices.most();
         Ok(report)
     }
 }
@@ -220,18 +258,25 @@ impl std::fmt::Display for Report {
         let Run { inputs, done, failed, before, failed_before, .. } = run;
         writeln!(
             f,
-            "{}: {inputs} inputs; {done} done, {failed} failed, {before} done before, {failed_before} failed before",
-            self.input
+            "{}: {inputs} inputs; {done} done, {failed} failed, {before} done before, {failed_before} failed before{}",
+            self.input,
+            if *failed_before > 0 { ", which --retry tries again" } else { "" }
         )?;
         if done + failed > 0 {
             let speed = run.clips_per_hour().map_or_else(|| "–".to_owned(), |clips| format!("{clips:.0}"));
             writeln!(f, "  speed       {:.1} s, {speed} clips an hour", run.wall_seconds)?;
         }
+        let named = |count: u64, names: &[String]| {
+            let more = if count > OTHERS as u64 { " …" } else { "" };
+            format!("{}{more}", names.iter().take(OTHERS).map(String::as_str).collect::<Vec<_>>().join(", "))
+        };
         if run.others > 0 {
-            let names =
-                run.other_names.iter().take(OTHERS).map(String::as_str).collect::<Vec<_>>().join(", ");
-            let more = if run.others > OTHERS as u64 { " …" } else { "" };
-            writeln!(f, "  passed over {} that are neither clip nor motion: {names}{more}", run.others)?;
+            let names = named(run.others, &run.other_names);
+            writeln!(f, "  passed over {} that are neither clip nor motion: {names}", run.others)?;
+        }
+        if run.results > 0 {
+            let (s, names) = (if run.results > 1 { "s" } else { "" }, named(run.results, &run.result_names));
+            writeln!(f, "  passed over results of this program in {} folder{s}: {names}", run.results)?;
         }
         writeln!(
             f,
@@ -242,20 +287,34 @@ impl std::fmt::Display for Report {
             self.kbit_per_s,
             self.input_bytes
         )?;
+        if self.otherwise > 0 {
+            writeln!(
+                f,
+                "  left        {} made with other settings, of inputs that are gone or not asked for; not counted above",
+                self.otherwise
+            )?;
+        }
         if let Some(confidence) = self.confidence {
             writeln!(f, "  sure        confidence {confidence:.2} on average")?;
         }
         for reason in self.reasons.iter().take(TOLD) {
             let first = reason.names.first().map_or("", String::as_str);
             match reason.count {
-                1 => writeln!(f, "  failed      {first}: {}", reason.error)?,
-                count => writeln!(f, "  failed      {count}, the first {first}: {}", reason.error)?,
+                1 => writeln!(f, "  failed      {first}: {}", reason.words)?,
+                count => writeln!(f, "  failed      {count}, the first {first}: {}", reason.words)?,
             }
         }
         let told: u64 = self.reasons.iter().take(TOLD).map(|reason| reason.count).sum();
         let more = self.failures.saturating_sub(told);
         if more > 0 {
             writeln!(f, "  failed      {more} more for other reasons, which report.json tells")?;
+        }
+        if self.noticed > 0 {
+            writeln!(
+                f,
+                "  notices     of {} of the streams: see report.html, or \"notices\" in the lines of manifest.jsonl",
+                self.noticed
+            )?;
         }
         Ok(())
     }

@@ -4,6 +4,7 @@ use handcast_codec::mapping::Profile;
 use handcast_fba::RangeRule;
 use handcast_fba::bap::StepTable;
 use handcast_fba::plan::{PlanOptions, Target};
+use handcast_formats::import::ImportOptions;
 use handcast_hand::smooth::SmoothOptions;
 use handcast_hand::{MAX_GAP, Person, Side};
 use handcast_media::Part;
@@ -22,7 +23,7 @@ pub struct Settings {
     pub encode: EncodeSettings,
 }
 
-/// How clips are tracked; see [`ClipOptions`].
+/// How clips are tracked; see [`ClipOptions`]. What of it is known to the import of joint positions holds for these as well.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct TrackSettings {
@@ -38,14 +39,15 @@ pub struct TrackSettings {
     pub person: Option<Person>,
     /// Cut-off at rest (Hz) and its growth (Hz per degree per second) of the 1€ filter.
     pub smooth: Option<[f64; 2]>,
-    /// Wrist to middle fingertip, metres.
-    pub hand_length: f64,
+    /// Wrist to middle fingertip, metres; where it is not told, that of a mean hand in clips, that of the file in motions.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub hand_length: Option<f64>,
     /// Degrees the camera sees across the longer side.
     pub field_of_view: f64,
-    /// Seconds of each clip, from its first picture on, from which it is tracked.
+    /// Seconds of each clip, from its first picture on, from which it is tracked; of each motion, as it tells its times.
     #[serde(skip_serializing_if = "is_beginning")]
     pub from: f64,
-    /// Seconds of each clip at which it has ended; its own end where there are none.
+    /// Seconds at which a clip or a motion has ended; its own end where there are none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub until: Option<f64>,
     /// What finds hands, as a name that tells it from others (the SHA-256 of its files); the finder itself is given to
@@ -70,7 +72,7 @@ impl Default for TrackSettings {
             start_any: false,
             person: None,
             smooth: None,
-            hand_length: options.hand_length,
+            hand_length: None,
             field_of_view: options.field_of_view,
             from: 0.0,
             until: None,
@@ -80,7 +82,7 @@ impl Default for TrackSettings {
 }
 
 impl TrackSettings {
-    /// The part of each clip that is tracked.
+    /// The part that is done of each clip and motion.
     pub fn part(&self) -> Part {
         Part { from: self.from, until: self.until.unwrap_or(f64::INFINITY), ..Part::WHOLE }
     }
@@ -93,12 +95,38 @@ impl TrackSettings {
         options.view = self.view;
         options.mirror = self.mirror;
         options.start = if self.start_any { Start::Any } else { Start::Open };
-        options.smooth = self.smooth.map(|[cutoff, beta]| SmoothOptions::default().with(cutoff, beta));
+        options.smooth = self.smoothing();
         options.threads = 1;
-        options.hand_length = self.hand_length;
+        options.hand_length = self.hand_length.unwrap_or(options.hand_length);
         options.field_of_view = self.field_of_view;
         options.finder = finder;
         options
+    }
+
+    /// How poses of joint positions are solved for.
+    pub fn import(&self) -> ImportOptions {
+        ImportOptions {
+            side: self.hand,
+            morphology: self.person.as_ref().map(|person| person.morphology.clone()),
+            hand_length: self.hand_length,
+            field_of_view: self.field_of_view.to_radians(),
+            smooth: self.smoothing(),
+            ..ImportOptions::default()
+        }
+    }
+
+    fn smoothing(&self) -> Option<SmoothOptions> {
+        self.smooth.map(|[cutoff, beta]| SmoothOptions::default().with(cutoff, beta))
+    }
+
+    /// The options of the command that say how poses are solved for, and are told.
+    pub(crate) fn of_solving(&self) -> Vec<&'static str> {
+        let told = [
+            ("--person", self.person.is_some()),
+            ("--hand-length-mm", self.hand_length.is_some()),
+            ("--smooth", self.smooth.is_some()),
+        ];
+        told.into_iter().filter_map(|(option, told)| told.then_some(option)).collect()
     }
 }
 
@@ -266,12 +294,13 @@ mod tests {
     }
 
     #[test]
-    fn the_defaults_are_those_of_tracker_and_planner() {
+    fn the_defaults_are_those_of_tracker_import_and_planner() {
         let settings = Settings::default();
         assert_eq!(settings.encode.plan(), PlanOptions::default());
         let (options, expected) = (settings.track.options(None), ClipOptions::default());
         assert_eq!(options.hand_length, expected.hand_length);
         assert_eq!(options.field_of_view, expected.field_of_view);
         assert_eq!((options.side, options.view, options.start), (None, None, Start::Open));
+        assert_eq!(settings.track.import(), ImportOptions::default());
     }
 }

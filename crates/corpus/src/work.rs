@@ -5,9 +5,10 @@ use std::io;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 
-use handcast_codec::{EncodedClip, clip_rate, encode_bridged};
+use handcast_codec::{EncodedClip, clip_rate, encode_bridged, notices};
 use handcast_formats::atomic::AtomicFile;
-use handcast_formats::motion::{Format, Motion, at_even_times, check_span};
+use handcast_formats::import::ImportOptions;
+use handcast_formats::motion::{Format, Motion, at_even_times, check_span, even_rate};
 use handcast_formats::mp4;
 use handcast_formats::whole::read_whole;
 use handcast_hand::PoseClip;
@@ -36,6 +37,9 @@ pub struct Worker {
     output: PathBuf,
     digest: String,
     track: ClipOptions,
+    import: ImportOptions,
+    /// What is told of importing, as options of the command.
+    of_solving: Vec<&'static str>,
     part: Part,
     encode: EncodeSettings,
     limits: Limits,
@@ -70,6 +74,8 @@ impl Worker {
             output: output.into(),
             digest: settings.digest(),
             track: settings.track.options(None),
+            import: settings.track.import(),
+            of_solving: settings.track.of_solving(),
             part: settings.track.part(),
             encode: settings.encode.clone(),
             limits: Limits::default(),
@@ -116,7 +122,10 @@ impl Worker {
         let mut sha256 = None;
         let made = catch_unwind(AssertUnwindSafe(|| self.made(&path, &mut sha256)))
             .unwrap_or_else(|payload| Err(self.broke_down(&*payload)));
-        let outcome = made.and_then(|made| {
+        let outcome = made.and_then(|mut made| {
+            for notice in &mut made.notices {
+                *notice = unplaced(notice, &path, &item.name);
+            }
             let stream = stream_name(&item.name);
             let digest = hex(&Sha256::digest(&made.stream));
             let sha256 = sha256.clone().unwrap_or_default();
@@ -155,50 +164,107 @@ impl Worker {
                 read_whole(path, &self.limits.clone().with_bytes(most)).map_err(|error| told(&error))?;
             *sha256 = Some(hex(&Sha256::digest(&content)));
             if !is_mp4 || mp4::is_stream_alone(&content) {
-                let motion =
-                    Motion::parse_within(path, &content, &self.limits).map_err(|error| told(&error))?;
+                let motion = Motion::parse_imported(path, &content, &self.import, &self.limits);
                 drop(content);
-                return self.of_motion(motion);
+                return self.of_motion(motion.map_err(|error| told(&error))?);
             }
         } else {
             *sha256 = Some(digest_of(path).map_err(|error| told(&error))?);
         }
         let opening = OpenOptions::default().with_limits(self.limits.clone()).with_part(self.part);
         let source = open(path, &opening).map_err(|error| told(&error))?;
+        let mut notices = source.info().notices();
         let tracked = track_clip(source, None, &self.track, &mut ()).map_err(|error| told(&error))?;
         let clip = PoseClip { header: tracked.header(), frames: tracked.poses() };
+        notices.extend(tracked.shortfall.clone());
+        notices.extend(tracked.notices(self.track.view));
         let shortfall = tracked.shortfall;
         drop((tracked.hands, tracked.times));
-        Ok(Made { shortfall, ..self.of_poses(clip, Kind::Clip)? })
+        Ok(Made { shortfall, ..self.of_poses(clip, Kind::Clip, notices)? })
     }
 
     fn of_motion(&self, mut motion: Motion) -> Result<Made, Reason> {
-        if let Some(baps) = &motion.baps {
+        let mut notices = std::mem::take(&mut motion.notes);
+        if motion.import.is_none() && !self.of_solving.is_empty() {
+            let change = if self.of_solving.len() > 1 { "change" } else { "changes" };
+            let idle = self.of_solving.join(", ");
+            notices.push(format!("it has poses, which are encoded as they are: {idle} {change} nothing"));
+        }
+        // What is played beside a part of it begins there, too.
+        if self.part.from <= 0.0 {
+            notices.extend(notices::of_start(&motion.clip));
+        }
+        if let Some(baps) = motion.baps.as_ref().filter(|_| self.takes_all()) {
             let seen = Seen::of(&motion.clip);
+            notices.extend(notices::of_rate(baps.rate));
             if self.encode.no_sizes {
                 motion.clip.header.forget_person();
             }
-            let coded = baps.encode(&motion.clip.header, self.encode.plan());
+            let plan = self.encode.plan();
+            let coded = baps.encode(&motion.clip.header, plan);
             let (stream, report) = coded.map_err(|error| told(&error))?;
-            return Ok(Made { kind: Kind::Motion, stream, rate: baps.rate, report, seen, shortfall: None });
+            notices.extend(notices::of_report(plan.mode, plan.live, &report, None));
+            let (kind, rate) = (Kind::Motion, baps.rate);
+            return Ok(Made { kind, stream, rate, report, seen, shortfall: None, notices });
         }
-        let clip = if motion.keyed {
+        let mut clip = if motion.keyed {
+            notices.extend(notices::of_times(&motion.clip, even_rate(&motion.clip)));
             at_even_times(motion.clip, &self.limits).map_err(|error| told(&error))?
         } else {
             motion.clip
         };
-        self.of_poses(clip, Kind::Motion)
+        self.choose(&mut clip)?;
+        self.of_poses(clip, Kind::Motion, notices)
     }
 
-    fn of_poses(&self, mut clip: PoseClip, kind: Kind) -> Result<Made, Reason> {
+    /// Whether all of a motion is encoded.
+    fn takes_all(&self) -> bool {
+        self.import.side.is_none() && self.part.is_whole()
+    }
+
+    /// Leaves of poses the hand and the part that are asked for.
+    fn choose(&self, clip: &mut PoseClip) -> Result<(), Reason> {
+        if let Some(side) = self.import.side {
+            clip.header.hands.retain(|hand| hand.side == side);
+            clip.frames.retain(|pose| pose.pose.side == side);
+            if clip.frames.is_empty() {
+                return Err(format!("no hand is called {}", side.name()));
+            }
+        }
+        if self.part.is_whole() {
+            return Ok(());
+        }
+        let times = || clip.frames.iter().map(|pose| pose.time);
+        let (first, last) =
+            (times().fold(f64::INFINITY, f64::min), times().fold(f64::NEG_INFINITY, f64::max));
+        // Times of a clock say when it was, not where in it.
+        let zero = if first >= notices::EARLIEST_CLOCK { first } else { 0.0 };
+        clip.frames.retain(|pose| self.part.has(pose.time - zero));
+        if clip.frames.is_empty() {
+            let Part { from, until, .. } = self.part;
+            let until = if until.is_finite() { format!(" until {until} s") } else { String::new() };
+            let [first, last] = [first, last].map(|time| time - zero);
+            return Err(format!(
+                "no pose from {from} s{until}: there are some from {first:.3} to {last:.3} s"
+            ));
+        }
+        Ok(())
+    }
+
+    fn of_poses(&self, mut clip: PoseClip, kind: Kind, mut notices: Vec<String>) -> Result<Made, Reason> {
         let seen = Seen::of(&clip);
+        let (profile, plan) = (self.encode.profile(), self.encode.plan());
+        notices.extend(notices::of_poses(&clip, profile, self.encode.max_gap));
         if self.encode.no_sizes {
             clip.header.forget_person();
         }
         check_span(&clip, clip_rate(&clip), &self.limits).map_err(|error| told(&error))?;
-        let encoded = encode_bridged(&clip, self.encode.profile(), &self.encode.plan(), self.encode.max_gap);
-        let EncodedClip { stream, report, clip, .. } = encoded.map_err(|error| told(&error))?;
-        Ok(Made { kind, stream, rate: clip_rate(&clip), report, seen, shortfall: None })
+        let encoded = encode_bridged(&clip, profile, &plan, self.encode.max_gap);
+        let EncodedClip { stream, report, tips, clip: sent, .. } = encoded.map_err(|error| told(&error))?;
+        let rate = clip_rate(&sent);
+        notices.extend(notices::of_times(&clip, rate));
+        notices.extend(notices::of_report(plan.mode, plan.live, &report, tips));
+        Ok(Made { kind, stream, rate, report, seen, shortfall: None, notices })
     }
 }
 

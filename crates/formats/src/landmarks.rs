@@ -29,7 +29,7 @@ pub(crate) use documents::side_named;
 use nalgebra::{Point2, Point3};
 use thiserror::Error;
 
-use super::import::{ImportOptions, import_all, in_one_place};
+use super::import::{ImportOptions, ImportReport, import_all, in_one_place};
 use super::lines::unmarked;
 use super::motion::format::NotKnown;
 use super::motion::{Content, ContentError, Format, Motion, bvh, rate_notice};
@@ -507,15 +507,20 @@ fn check_size(text: &[u8]) -> Result<(), String> {
 }
 
 /// The poses of all hands, and what solving for them found.
-pub(crate) fn solved(format: &'static Format, hands: &[LandmarkClip]) -> Result<Motion, ContentError> {
-    let (clip, reports) = import_all(hands, &ImportOptions::default())?;
+pub(crate) fn solved(
+    format: &'static Format,
+    hands: &[LandmarkClip],
+    options: &ImportOptions,
+) -> Result<Motion, ContentError> {
+    let (clip, reports) = import_all(hands, options)?;
     // 21 points show neither twists nor how the palm bends.
     let shown =
         |angle: &JointAngle| !angle.name().ends_with("twisting") && !angle.name().contains("0_flexion");
     let mut notes: BTreeSet<String> = hands.iter().flat_map(|hand| hand.notes.clone()).collect();
     notes.extend(hands.iter().filter_map(LandmarkClip::rate_notice));
     notes.extend(hands.iter().filter_map(LandmarkClip::pace_notice));
-    notes.extend(reports.iter().flat_map(|report| [report.notice(), report.trembling()]).flatten());
+    let trembling = |report: &ImportReport| report.trembling().filter(|_| options.smooth.is_none());
+    notes.extend(reports.iter().flat_map(|report| [report.notice(), trembling(report)]).flatten());
     notes.extend(in_one_place(hands, &reports));
     Ok(Motion {
         notes: notes.into_iter().collect(),

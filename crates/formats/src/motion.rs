@@ -28,7 +28,7 @@ use std::path::{Path, PathBuf};
 
 use thiserror::Error;
 
-use super::import::ImportReport;
+use super::import::{ImportOptions, ImportReport};
 use super::landmarks::{LandmarkClip, pace_notice, solved};
 use super::lines::unmarked;
 use super::poses::{PosesError, json_message};
@@ -243,6 +243,12 @@ pub enum ContentError {
     /// Joint positions that are not those of a hand.
     #[error(transparent)]
     Landmarks(#[from] LandmarkError),
+    /// Of several hands none is the one asked for.
+    #[error("no hand is called {}", .side.name())]
+    NoHand {
+        /// The one asked for.
+        side: Side,
+    },
     /// A frame rate that no motion has.
     #[error("{rate} frames per second, allowed above 0 to {MAX_RATE}")]
     Rate {
@@ -343,11 +349,34 @@ impl Motion {
     /// # Errors
     /// See [`MotionError`].
     pub fn parse_within(path: &Path, bytes: &[u8], limits: &Limits) -> Result<Self, MotionError> {
+        Self::parse_imported(path, bytes, &ImportOptions::default(), limits)
+    }
+
+    /// The same; poses of joint positions are solved for as `options` say, those of the hand that they tell where there are
+    /// several. Poses that are there already are as they are.
+    ///
+    /// # Errors
+    /// See [`MotionError`].
+    pub fn parse_imported(
+        path: &Path,
+        bytes: &[u8],
+        options: &ImportOptions,
+        limits: &Limits,
+    ) -> Result<Self, MotionError> {
         let (format, told) = Content::of(path, bytes, limits)?;
         match told {
             Content::Poses(motion) => Ok(*motion),
-            Content::Joints(hands) => {
-                let motion = solved(format, &hands).and_then(|motion| motion.sound(limits));
+            Content::Joints(mut hands) => {
+                if let (Some(side), true) = (options.side, hands.len() > 1) {
+                    hands.retain(|hand| hand.side == Some(side));
+                    if hands.is_empty() {
+                        return Err(MotionError::Content {
+                            path: path.into(),
+                            reason: ContentError::NoHand { side },
+                        });
+                    }
+                }
+                let motion = solved(format, &hands, options).and_then(|motion| motion.sound(limits));
                 motion.map_err(|reason| MotionError::Content { path: path.into(), reason })
             }
         }

@@ -20,7 +20,7 @@ fn settings_of(text: &str) -> PyResult<Settings> {
     let settings: Settings = serde_json::from_str(text).map_err(|error| named(&error))?;
     let check = || {
         let Settings { track, encode } = &settings;
-        check_hand_length(track.hand_length)?;
+        track.hand_length.map(check_hand_length).transpose()?;
         check_fov("field_of_view", track.field_of_view)?;
         track.smooth.map(check_smooth).transpose()?;
         let part = track.part();

@@ -520,6 +520,7 @@ fn radius(morphology: &Morphology, joint: Joint) -> f64 {
 mod tests {
     use super::super::MAX_DOCUMENT_BYTES;
     use super::*;
+    use crate::import::ImportOptions;
     use crate::motion::tests::{two_hands, worst};
     use handcast_hand::JointAngle;
     use nalgebra::Vector3;
@@ -527,7 +528,7 @@ mod tests {
     fn read(text: &[u8]) -> Result<Motion, ContentError> {
         match super::read(text, &Limits::default())? {
             Content::Poses(motion) => Ok(*motion),
-            Content::Joints(hands) => crate::landmarks::solved(&FORMAT, &hands),
+            Content::Joints(hands) => crate::landmarks::solved(&FORMAT, &hands, &ImportOptions::default()),
         }
     }
 

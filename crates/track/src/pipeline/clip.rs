@@ -10,6 +10,7 @@ use super::clock::Instant;
 use super::silhouettes::{Search, Seeker, Segmented, Silhouettes};
 use super::stage::HandStage;
 use super::{ClipError, ClipOptions, ClipSink, HandFrame, HandStart, StageTimes, TrackedFrame, header};
+use crate::View;
 use handcast_hand::{PoseHeader, TimedPose};
 use handcast_limits::{Excess, Limit, Limits};
 use handcast_media::{ClipInfo, Frame, FrameError, FrameSource, Prefetch};
@@ -47,6 +48,8 @@ pub struct TrackedClip {
     pub skin_tone: Option<u8>,
     /// What of the clip could not be shown ([`FrameSource::shortfall`]).
     pub shortfall: Option<String>,
+    /// Most hands that a finder saw in a frame beside the two that are tracked at most.
+    pub further: usize,
     /// Time spent in each stage.
     pub timings: ClipTimings,
 }
@@ -73,6 +76,11 @@ impl ClipEnd {
     /// The header of a pose file for the poses of the clip.
     pub fn header(&self) -> PoseHeader {
         header(&self.hands, self.rate, self.skin_tone)
+    }
+
+    /// What is worth saying of its hands, where they are said to show this face.
+    pub fn notices(&self, view: Option<View>) -> Vec<String> {
+        notices(&self.hands, view, self.further)
     }
 }
 
@@ -107,6 +115,11 @@ impl TrackedClip {
         header(self.hands.iter().map(|hand| &hand.start), self.rate, self.skin_tone)
     }
 
+    /// What is worth saying of its hands, where they are said to show this face.
+    pub fn notices(&self, view: Option<View>) -> Vec<String> {
+        notices(self.hands.iter().map(|hand| &hand.start), view, self.further)
+    }
+
     /// All frames of all hands as poses in the camera frame, in order of time.
     pub fn poses(&self) -> Vec<TimedPose> {
         let mut poses = Vec::with_capacity(self.times.len() * self.hands.len());
@@ -115,6 +128,30 @@ impl TrackedClip {
         }
         poses
     }
+}
+
+fn notices<'a>(
+    hands: impl IntoIterator<Item = &'a HandStart>,
+    view: Option<View>,
+    further: usize,
+) -> Vec<String> {
+    let s = if further > 1 { "s" } else { "" };
+    let further = (further > 0).then(|| {
+        format!(
+            "at least {further} further hand{s} are seen beside the two that are tracked at most, and passed over"
+        )
+    });
+    let hands = hands.into_iter();
+    let others = hands.filter_map(|hand| Some((view.filter(|view| *view != hand.view)?, hand)));
+    let others = others.map(|(view, hand)| {
+        format!(
+            "--view says {}, but thumb and fingers of the {} hand show its {}: that is what is tracked",
+            view.name(),
+            hand.side.name(),
+            hand.view.name()
+        )
+    });
+    further.into_iter().chain(others).collect()
 }
 
 /// That a clip is no longer than `limits` allow, where that is known before it is read.
@@ -161,8 +198,8 @@ pub fn track_clip(
     let timings = ClipTimings { frames, ..end.timings };
     let hands = end.hands.into_iter().zip(kept.found);
     let hands = hands.map(|(start, frames)| TrackedHand { start, frames }).collect();
-    let ClipEnd { rate, skin_tone, shortfall, .. } = end;
-    Ok(TrackedClip { hands, times: kept.times, rate, skin_tone, shortfall, timings })
+    let ClipEnd { rate, skin_tone, shortfall, further, .. } = end;
+    Ok(TrackedClip { hands, times: kept.times, rate, skin_tone, shortfall, further, timings })
 }
 
 /// Tracks as [`track_clip`] does, and keeps nothing of the frames, which `sink` gets: memory does not grow with the
