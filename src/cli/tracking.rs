@@ -386,7 +386,7 @@ impl TrackArgs {
             start_any: matches!(self.start, StartArg::Any),
             person,
             smooth: self.smooth_or(None).map(|smooth| [smooth.min_cutoff, smooth.beta]),
-            hand_length: self.hand_length_mm.unwrap_or(TrackSettings::default().hand_length),
+            hand_length: self.hand_length_mm,
             field_of_view: self.fov,
             finder,
             ..TrackSettings::default()
