@@ -253,12 +253,10 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let mut worked = Ok(());
     // Where nobody sees a hand, nothing else tells that the server has ended.
     while worked.is_ok() && !stop.load(Ordering::Relaxed) && !over() && !server.has_ended() {
-        // Asked before, lest the last picture come between.
-        let ended = slot.is_ended();
-        match slot.take(Duration::from_millis(100)) {
-            Some(frame) => worked = worker.frame(frame, &mut publisher),
-            None if ended => break,
-            None => {}
+        match (slot.is_ended(), slot.take(Duration::from_millis(100))) {
+            (_, Some(frame)) => worked = worker.frame(frame, &mut publisher),
+            (true, None) => break,
+            (false, None) => {}
         }
         status.tell(&mut worker, &slot, &server);
     }

@@ -226,7 +226,7 @@ fn outputs_that_cannot_be_are_named() {
 #[test]
 fn what_to_do_instead_is_told() {
     let owned = |(line, words): (&str, &str)| (line.to_owned(), words.to_owned());
-    let track = "; of clips and folders of pictures `handcast track` makes poses";
+    let track = "`handcast track` makes poses";
     let clips = [
         "import clip.avi -o x.jsonl",
         "encode clip.avi -o x.fba",
