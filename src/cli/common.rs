@@ -225,7 +225,8 @@ pub struct RateArgs {
     /// Code each frame when it comes, without look-ahead
     #[arg(long)]
     pub live: bool,
-    /// Start code and all ranges with every I plane, time codes with those on whole seconds, to start there or to resume after damage; --live has them
+    /// Start code and all ranges with every I plane, time codes with those on whole seconds, to start there or to resume
+    /// after damage; --live has them
     /// anyway
     #[arg(long)]
     pub resync: bool,

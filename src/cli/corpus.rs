@@ -19,9 +19,9 @@ use super::tracking::TrackArgs;
 /// Tracks and encodes all clips and motion files of a folder and its subfolders
 ///
 /// OUT/streams has a stream for each input, OUT/manifest.jsonl a line for each stream, OUT/failures.jsonl one for each
-/// input that made none, OUT/report.html what is worth looking at. Of motion files too
-/// a part and one hand are taken where they are asked for, and sizes and smoothing where poses are solved for. Called again
-/// it goes on where it was ended, and does anew what has changed since.
+/// input that made none, OUT/report.html what is worth looking at. Of motion files too a part and one hand are taken where
+/// they are asked for, and sizes and smoothing where poses are solved for. Called again it goes on where it was ended, and
+/// does anew what has changed since.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// Folder with clips (MP4, MOV, AVI, GIF, WebP, Y4M; what ffmpeg reads, where it is there) and motion files (all that

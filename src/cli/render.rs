@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, bail, ensure};
 use clap::Args as ClapArgs;
 use handcast_formats::atomic::AtomicFile;
-use handcast_hand::{HandMesh, HandPose, Side, Skeleton, skin_tone};
+use handcast_hand::{HandMesh, HandPose, Side, Skeleton, skin_tone, usual_step};
 #[cfg(feature = "h264")]
 use handcast_media::film::{FilmWriter, TICKS, USUAL_RATE};
 use handcast_render::{Film, Moment, Style, WebpAnimation, spread};
@@ -212,13 +212,6 @@ fn cut_short(moments: &[Moment], ending: &str) -> Option<String> {
     (cut > 0).then(|| {
         format!("{cut} picture{s} {are} shown for {longest} s, as long as one in a .{ending} is, in place of longer")
     })
-}
-
-/// The step in the middle of all.
-fn usual_step(times: &[f64]) -> Option<f64> {
-    let mut steps: Vec<f64> = times.windows(2).map(|w| w[1] - w[0]).collect();
-    steps.sort_by(f64::total_cmp);
-    steps.get(steps.len() / 2).copied()
 }
 
 /// How long each picture is shown, in units of `unit` seconds and at least `least` of them, at most `longest` seconds; rounding

@@ -34,7 +34,7 @@ use super::lines::unmarked;
 use super::motion::format::NotKnown;
 use super::motion::{Content, ContentError, Format, Motion, bvh, rate_notice};
 use handcast_hand::landmarks::{JointPoints, from_landmarks_21, move_tips_to_ends};
-use handcast_hand::{JointAngle, MAX_TIME, Side};
+use handcast_hand::{JointAngle, MAX_TIME, Side, usual_step};
 use handcast_limits::{Limit, Limits};
 
 /// Most bytes in a text that is read as a whole: all but landmark lines and WebXR-shaped frames, which are as long as motions
@@ -222,6 +222,7 @@ impl Sided {
         }
         tell_absences(&mut clips, self.instants);
         clips.sort_by_key(|clip| clip.side.map_or(2, |side| side as usize));
+        continuity::restore(&mut clips);
         match clips.len() {
             0 => Err("no frame has a hand".into()),
             1 | 2 => Ok(clips),
@@ -254,7 +255,7 @@ fn tell_absences(clips: &mut [LandmarkClip], mut instants: Vec<f64>) {
 /// Seconds of time stamps whose unit is not told: seconds where the middle step is below 1, milliseconds below 2000,
 /// microseconds below 2 million, else nanoseconds.
 fn seconds_of_stamps(stamps: &[f64]) -> f64 {
-    match middle_step(stamps) {
+    match usual_step(stamps) {
         Some(step) if step < 1.0 => 1.0,
         Some(step) if step >= 2e6 => 1e-9,
         Some(step) if step >= 2000.0 => 1e-6,
@@ -265,22 +266,15 @@ fn seconds_of_stamps(stamps: &[f64]) -> f64 {
 /// From so many seconds between most of its frames on a recording is none of a hand that moves.
 const SLOWEST: f64 = 5.0;
 
-/// The step in the middle of all.
-fn middle_step(stamps: &[f64]) -> Option<f64> {
-    let mut steps: Vec<f64> = stamps.windows(2).map(|w| w[1] - w[0]).collect();
-    steps.sort_by(f64::total_cmp);
-    steps.get(steps.len() / 2).copied()
-}
-
 /// That frames at these times would take far longer than hands do.
 pub(crate) fn pace_notice(times: &[f64]) -> Option<String> {
-    let step = middle_step(times).filter(|step| *step >= SLOWEST)?;
+    let step = usual_step(times).filter(|step| *step >= SLOWEST)?;
     Some(format!("its frames are {step:.0} s apart: are its times in another unit than seconds?"))
 }
 
 /// Seconds of times that are seconds by their name: they are, unless hardly anything would move then.
 fn seconds_of_times(times: &[f64]) -> f64 {
-    if middle_step(times).is_some_and(|step| step >= SLOWEST) { seconds_of_stamps(times) } else { 1.0 }
+    if usual_step(times).is_some_and(|step| step >= SLOWEST) { seconds_of_stamps(times) } else { 1.0 }
 }
 
 /// Why landmarks could not be read.
@@ -401,7 +395,6 @@ impl LandmarkClip {
             } else {
                 parsed(document.parse, &bytes, limits)
             };
-            let clips = clips.map(continued);
             return clips.map_err(|what| LandmarkFileError::Foreign { path: path.into(), format, what });
         }
         if !lines && let Some(what) = NotKnown::joints(start) {
@@ -443,14 +436,8 @@ fn read_document(
     bytes: &[u8],
     limits: &Limits,
 ) -> Result<Content, ContentError> {
-    let clips = parsed(parse, bytes, limits).map(continued);
+    let clips = parsed(parse, bytes, limits);
     Ok(Content::Joints(clips.map_err(|what| ContentError::Foreign { format: format.id, what })?))
-}
-
-/// The recordings with each hand where it was before, whatever it is called.
-fn continued(mut clips: Vec<LandmarkClip>) -> Vec<LandmarkClip> {
-    continuity::restore(&mut clips);
-    clips
 }
 
 /// The recordings of a text of JSON. What is no number by the name that Python writes for it is what is missing.
@@ -518,7 +505,6 @@ pub(crate) fn solved(
         |angle: &JointAngle| !angle.name().ends_with("twisting") && !angle.name().contains("0_flexion");
     let mut notes: BTreeSet<String> = hands.iter().flat_map(|hand| hand.notes.clone()).collect();
     notes.extend(hands.iter().filter_map(LandmarkClip::rate_notice));
-    notes.extend(hands.iter().filter_map(LandmarkClip::pace_notice));
     let trembling = |report: &ImportReport| report.trembling().filter(|_| options.smooth.is_none());
     notes.extend(reports.iter().flat_map(|report| [report.notice(), trembling(report)]).flatten());
     notes.extend(in_one_place(hands, &reports));

@@ -410,8 +410,7 @@ impl Motion {
     fn paced(mut self) -> Self {
         let mut times: Vec<f64> = self.clip.frames.iter().map(|pose| pose.time).collect();
         times.dedup();
-        let notice = pace_notice(&times).filter(|notice| !self.notes.contains(notice));
-        self.notes.extend(notice);
+        self.notes.extend(pace_notice(&times));
         self
     }
 

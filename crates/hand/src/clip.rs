@@ -63,6 +63,13 @@ pub struct TimedPose {
     pub why: Option<Absence>,
 }
 
+/// The step in the middle of those between instants, which are in order; `None` of less than two.
+pub fn usual_step(times: &[f64]) -> Option<f64> {
+    let mut steps: Vec<f64> = times.windows(2).map(|w| w[1] - w[0]).collect();
+    steps.sort_by(f64::total_cmp);
+    steps.get(steps.len() / 2).copied()
+}
+
 /// The number of the one of `items`, which are in order of time, that is nearest to an instant, the earlier of two; `None` of no
 /// items.
 pub fn nearest_in_time<T>(items: &[T], instant: f64, time: impl Fn(&T) -> f64) -> Option<usize> {

@@ -31,7 +31,7 @@ pub mod turns;
 pub use bridge::{Bridged, MAX_GAP};
 pub use clip::{
     Absence, ClipHand, FrameCheck, MAX_FRAMES, MAX_TIME, PoseClip, PoseClipError, PoseHeader, TimedPose,
-    nearest_in_time,
+    nearest_in_time, usual_step,
 };
 pub use constraints::{
     AngleLimits, DIP_FROM_PIP, Domain, FREE_ANGLES, FreeAngles, HalfSpace, limits, palm_from_mcp, palm_slope,

@@ -203,7 +203,7 @@ fn clips(found: Found, bytes: usize, limits: &Limits) -> Result<Vec<LandmarkClip
         }
     }
     let mut clips = sided.finished()?;
-    clips.iter_mut().for_each(|clip| clip.notes.clone_from(&notes));
+    clips.iter_mut().for_each(|clip| clip.notes.extend_from_slice(&notes));
     Ok(clips)
 }
 
@@ -756,6 +756,20 @@ mod tests {
                 same(&clip, i, &twin(Side::Right, WRIST, &motion(i)));
             }
         }
+    }
+
+    #[test]
+    fn names_that_flicker_are_told() {
+        let right = |i: usize| u8::from(i % 20 != 10);
+        let row = |i: usize| json!({ "hand_pose": motion(i % 12).as_slice(), "is_right": right(i) });
+        let document = json!((0..60).map(row).collect::<Vec<_>>()).to_string();
+        let clips = parse(&document).unwrap();
+        let told = |clip: &LandmarkClip| clip.notes.iter().any(|note| note.contains("3 frames"));
+        assert!(
+            clips.len() == 1 && clips[0].side == Some(Side::Right) && told(&clips[0]),
+            "{:?}",
+            clips[0].notes
+        );
     }
 
     #[test]

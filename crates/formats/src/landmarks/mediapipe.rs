@@ -19,8 +19,8 @@ use serde::de::{DeserializeSeed, Error, IntoDeserializer, MapAccess, SeqAccess, 
 use serde::{Deserialize, Deserializer};
 
 use super::{
-    Axes, LandmarkClip, LandmarkFrame, PicturePoints, PictureUnit, Point, RATE, check_time, place,
-    read_document, seconds_of_stamps, seconds_of_times,
+    Axes, LandmarkClip, LandmarkFrame, PicturePoints, PictureUnit, Point, RATE, check_time, continuity,
+    place, read_document, seconds_of_stamps, seconds_of_times,
 };
 use crate::motion::Format;
 use crate::poses::json_message;
@@ -754,7 +754,8 @@ impl Document<'_> {
             let side = seen?;
             Some(LandmarkClip { side, ..clip })
         });
-        let hands: Vec<LandmarkClip> = hands.collect();
+        let mut hands: Vec<LandmarkClip> = hands.collect();
+        continuity::restore(&mut hands);
         if hands.is_empty() { Err("no result has a hand".into()) } else { Ok(hands) }
     }
 }

@@ -405,14 +405,15 @@ impl NetFinder {
         let looked_for = if hands.len() < self.options.hands { 0 } else { MOST_FURTHER };
         let seen =
             others.iter().take(looked_for).try_for_each(|(region, _)| self.add(picture, region, &mut all));
-        self.further = all.len() - hands.len();
+        self.further = self.further.max(all.len() - hands.len());
         self.all = all;
         self.regions = regions;
         added.and(seen)
     }
 
-    /// Looks at one square more, where there is room for a hand: what is far away is too small in the whole picture.
-    fn scan(&mut self, picture: &RgbImage, hands: &mut Vec<Sighting>) -> Result<()> {
+    /// Looks at one square more, where there is room for a hand: what is far away is too small in the whole picture. Where
+    /// nothing has changed each is looked at once.
+    fn scan(&mut self, picture: &RgbImage, changed: bool, hands: &mut Vec<Sighting>) -> Result<()> {
         let whole = whole(picture);
         let seen = hands.iter().map(|hand| SCAN_SIDE * hand.region.side).reduce(f64::min);
         let sides: &[f64] = match &seen {
@@ -421,7 +422,7 @@ impl NetFinder {
             None => &SCANNED.map(|share| share * whole.side),
         };
         let squares: usize = sides.iter().map(|side| Squares::of(picture, *side).count()).sum();
-        self.scanned_still = if self.scene.has_changed(picture, hands) { 0 } else { self.scanned_still + 1 };
+        self.scanned_still = if changed { 0 } else { self.scanned_still + 1 };
         if hands.len() >= self.options.hands || self.scanned_still >= squares {
             return Ok(());
         }
@@ -430,10 +431,7 @@ impl NetFinder {
         for side in sides {
             let squares = Squares::of(picture, *side);
             if let Some(square) = squares.get(number) {
-                let further = self.further;
-                self.search(picture, (&square, SCAN_APART), hands)?;
-                self.further = self.further.max(further);
-                break;
+                return self.search(picture, (&square, SCAN_APART), hands);
             }
             number -= squares.count();
         }
@@ -459,9 +457,7 @@ impl NetFinder {
         missing.retain(|missing| missing.pictures <= NEAR_FOR && missing.is_small_in(picture));
         for missing in &missing {
             if hands.len() < self.options.hands {
-                let further = self.further;
                 self.search(picture, (&missing.square(), SAME_PALM), hands)?;
-                self.further = self.further.max(further);
             }
         }
         self.missing = missing;
@@ -494,14 +490,15 @@ impl NetFinder {
             self.follow(picture, hand, free, hands)?;
         }
         self.since += 1;
-        let lost = hands.len() < last.len();
-        let due = self.since >= self.options.search_every
-            && (self.since >= self.options.search_still || self.scene.has_changed(picture, hands));
-        if hands.len() < self.options.hands && (hands.is_empty() || lost || due) {
-            self.since = 0;
-            self.search(picture, (&whole(picture), SAME_PALM), hands)?;
-            self.scan(picture, hands)?;
-            self.scene.keep(picture, hands);
+        let at_once = hands.is_empty() || hands.len() < last.len();
+        if hands.len() < self.options.hands && (at_once || self.since >= self.options.search_every) {
+            let changed = self.scene.has_changed(picture, hands);
+            if at_once || changed || self.since >= self.options.search_still {
+                self.since = 0;
+                self.search(picture, (&whole(picture), SAME_PALM), hands)?;
+                self.scan(picture, changed, hands)?;
+                self.scene.keep(picture, hands);
+            }
         }
         self.search_near(picture, &last, hands)?;
         now.clear();
